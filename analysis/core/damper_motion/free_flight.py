@@ -6,8 +6,6 @@ damper stays on the floor while it is positive. The *closing speed* of an impact
 wall.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from itertools import pairwise
@@ -83,7 +81,7 @@ class BodyMotion:
         """Relative tolerance of the channel's sensitivity."""
         return tolerance(self.info)
 
-    def contact_at(self, time: float, wall: float, added_speed: float) -> _WallContact:
+    def contact_at(self, time: float, wall: float, added_speed: float) -> "_WallContact":
         """Return position and speed of a wall at a time [s].
 
         `wall`: height of the wall above the floor [m]; `added_speed`: half the jump of an impact at this time, m/s,

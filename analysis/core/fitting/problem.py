@@ -6,8 +6,6 @@ dampers move, a *periodic orbit* gives the response at each frequency; otherwise
 distance of a damper from the floor of its cavity, the *clearance* its largest possible value.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -77,7 +75,7 @@ class Group:
         self.orbits.current, self.orbits.earlier = list(current), list(earlier)
         self.orbits.failed.clear()
 
-    def replace_outlier_orbits(self, problem: Problem, x: Array, scene: Scene) -> bool:
+    def replace_outlier_orbits(self, problem: "Problem", x: Array, scene: Scene) -> bool:
         """Replace the orbit at each outlier with a better orbit, and exclude the remaining outliers.
 
         `x`: unknowns; `scene`: the scene to fit, with the values of the unknowns. Returns whether an orbit or a fitted

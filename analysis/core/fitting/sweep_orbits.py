@@ -6,8 +6,6 @@ needs the orbit for a given level. The level that an electrodynamic shaker reach
 motion of the dampers, so the drive for a level is computed by the secant method.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
@@ -134,7 +132,7 @@ class SweepOrbits:
         ]
         return max(gaps, default=0.0)
 
-    def _recover(self, solver: _OrbitSolver, frequency: Array, level: Array, k: int) -> OrbitResponse | None:
+    def _recover(self, solver: "_OrbitSolver", frequency: Array, level: Array, k: int) -> OrbitResponse | None:
         """Refine the earlier orbit of point k or the orbit of a neighbor; if all fail, search from resting dampers."""
         neighbors = [self.current[j] for j in (k - 1, k + 1) if 0 <= j < len(self.current)]
         for orbit in (self.earlier[k], *neighbors):
@@ -148,7 +146,7 @@ class SweepOrbits:
         return reached
 
     def _search(
-        self, solver: _OrbitSolver, frequency: Array, level: Array, k: int, from_riding: bool
+        self, solver: "_OrbitSolver", frequency: Array, level: Array, k: int, from_riding: bool
     ) -> OrbitResponse | None:
         """Search the orbit of point k by `_OrbitSolver.search`; store the reason if the orbit cannot be computed."""
         self.uncovered.pop(k, None)

@@ -4,8 +4,6 @@ A compliance is the sum of R/(s - p) + conj(R)/(s - conj(p)) over the modes, wit
 terms* for the modes outside the band. Poles are nonlinear parameters; residues and residual terms are linear.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -56,7 +54,7 @@ class Curves:
         """Count the real parameters of a model with `poles` poles: poles, residues, and residual terms."""
         return 2 * poles + self.value.shape[0] * (2 * poles + 1 + self.upper_terms)
 
-    def blocks(self, terms: int) -> Iterator[tuple[slice, Curves]]:
+    def blocks(self, terms: int) -> Iterator[tuple[slice, "Curves"]]:
         """Split the responses so that a number of weighted terms of each block remains small."""
         step = max(1, _MAX_ELEMENTS // (2 * self.frequency.size * terms))
         for first in range(0, len(self.value), step):

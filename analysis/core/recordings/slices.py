@@ -1,10 +1,9 @@
 """Slices of recordings: ranges of samples of selected channels, read in pieces."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,7 +41,7 @@ class Slice:
         channels: Sequence[str] | None = None,
         from_s: float | None = None,
         to_s: float | None = None,
-    ) -> Slice:
+    ) -> Self:
         """Select channels (default: all) between two times in s (default: the whole recording)."""
         names = tuple(recording.channels if channels is None else channels)
         for name in names:

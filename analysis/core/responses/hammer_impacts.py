@@ -1,10 +1,9 @@
 """Hammer impacts: their times and forces, and the motion before them."""
 
-from __future__ import annotations
-
 from bisect import bisect_left
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 from scipy import fft
@@ -49,7 +48,7 @@ class HammerImpacts:
     interval: int  # smallest number of samples from an impact to the next impact, or from the last impact to the end
 
     @classmethod
-    def of(cls, rec: Recording) -> HammerImpacts:
+    def of(cls, rec: Recording) -> Self:
         """Locate the impacts that are marked in a recording."""
         channel = next((name for name, info in rec.channels.items() if info.quantity == "force"), None)
         if channel is None:

@@ -11,8 +11,6 @@ References
    and 4.3.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -143,7 +141,7 @@ def best_linear_approximation(
 
 def _realizations(
     rec: Recording, names: Sequence[str], markers: Sequence[Marker], n_inputs: int
-) -> tuple[list[list[PeriodSpectra]], list[str]]:
+) -> tuple[list[list["PeriodSpectra"]], list[str]]:
     """Return the experiments (one for each input) of complete realizations, and notes on incomplete ones."""
     groups: dict[int, list[Marker]] = {}
     for number, marker in enumerate(markers):

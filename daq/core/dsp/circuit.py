@@ -4,10 +4,9 @@ A section does not load the previous section. A disturbance may enter before any
 difference between a clipped and a linear output.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 
@@ -96,7 +95,7 @@ class Circuit:
     sections: tuple[int, ...]  # first state of each section, and the number of states
 
     @classmethod
-    def series(cls, sections: Sequence[Section]) -> Circuit:
+    def series(cls, sections: Sequence[Section]) -> Self:
         """Connect sections in the order given."""
         first = np.cumsum([0, *(section.states for section in sections)])
         a = np.zeros((first[-1], first[-1]))

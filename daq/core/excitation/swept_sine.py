@@ -8,8 +8,6 @@ them in a warning. Sweeps from 10 to 55 Hz in 20 s have larger deviations at som
 resonance then contains fewer periods than the identification of its mode requires.
 """
 
-from __future__ import annotations
-
 from collections.abc import Generator
 from typing import Any
 
@@ -57,7 +55,7 @@ def _sweep_controlled(
     start_phase: float,
     amplitude: complex,
     control: SweepControl,
-    monitor: LevelMonitor,
+    monitor: "LevelMonitor",
 ) -> Generator[Array, Array, complex]:
     """Sweep from a phase and complex amplitude of the drive with constant force; return the final amplitude."""
     station, rows, stiffness = force.station, list(force.rows), force.factors[0]

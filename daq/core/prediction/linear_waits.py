@@ -5,13 +5,11 @@ replaced: between changes of the drive, the transient of each mode decays freely
 computed in closed form instead of from samples. Random noise is added according to the noise densities of the channels.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Generator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
@@ -93,8 +91,8 @@ def linear_waits(scene: Scene, system: HybridSystem, channels: Sequence[ChannelI
 
 
 def _run(
-    scene: Scene, system: HybridSystem, channels: Sequence[ChannelInfo], modes: _RidingModes, number: int, limit: int
-) -> tuple[Array, _PredictedTone]:
+    scene: Scene, system: HybridSystem, channels: Sequence[ChannelInfo], modes: "_RidingModes", number: int, limit: int
+) -> tuple[Array, "_PredictedTone"]:
     """Run the test up to a number of windows, with noise of a given seed; return the waits [s] and the tone."""
     test = scene.test
     assert isinstance(test, SteppedTest)
@@ -151,7 +149,7 @@ class _RidingModes:
     windows: dict[tuple[float, int], _Window] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, scene: Scene, system: HybridSystem, tones: Array) -> _RidingModes | None:
+    def of(cls, scene: Scene, system: HybridSystem, tones: Array) -> Self | None:
         """Return the modes; None if their shapes are nearly dependent. `tones`: frequencies of the test [Hz]."""
         name = scene.at_driven("shaker")
         descriptor, state_matrix, input_vector = riding_equations(system, name)

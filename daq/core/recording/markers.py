@@ -3,13 +3,11 @@
 Gaps (missing samples) are determined from the markers.
 """
 
-from __future__ import annotations
-
 import json
 from bisect import bisect_left, bisect_right
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -155,7 +153,7 @@ class Marker:
         return _json({**content, **self.fields})
 
     @classmethod
-    def from_json(cls, data: memoryview) -> Marker:
+    def from_json(cls, data: memoryview) -> Self:
         """Decode a marker; raise `RecordingError` if the message is malformed."""
         content = _object(data, MARKERS)
         kind, first = content.pop("kind", None), content.pop("first_sample", None)

@@ -7,10 +7,9 @@ of the signal times Legendre polynomials. The impulse response of the filter is 
 the same intervals. The sum of moments times coefficients is the convolution integral.
 """
 
-from __future__ import annotations
-
 from dataclasses import asdict, dataclass
 from functools import lru_cache
+from typing import Self
 
 import numpy as np
 from numpy.polynomial import chebyshev, legendre
@@ -48,7 +47,7 @@ class DecimationFilter:
     beta: float  # shape parameter of the Kaiser window
 
     @classmethod
-    def standard(cls, rate: float) -> DecimationFilter:
+    def standard(cls, rate: float) -> Self:
         """Return the filter of every delta-sigma converter here, for a sample rate in Hz."""
         return cls(rate, float(DELAY_SAMPLES), 0.5 * (PASSBAND_EDGE + STOPBAND_EDGE), 0.1102 * (_ATTENUATION_DB - 8.7))
 

@@ -3,8 +3,6 @@
 The drive has a value at each tick (time step of the bench), or at each sample of the converter.
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from collections.abc import Collection, Iterable, Sequence
@@ -94,13 +92,13 @@ class Bench:
             for stream in self._streams.values():
                 stream.set_conditioning(channel_settings)
 
-    def acquire(self, drive: Array) -> Block:
+    def acquire(self, drive: Array) -> "Block":
         """Return samples at `rate` under a drive (inputs, samples) in `drive_units`, interpolated linearly."""
         drive = validate_drive(drive, self.inputs)
         plant_drive = self._drive_interpolator.interpolate(self._outputs.convert(drive))
         return self._base_stream.sample(self._plant.advance(plant_drive), plant_drive)
 
-    def advance(self, drive: Array, rates: Collection[float] = ()) -> dict[float, Block]:
+    def advance(self, drive: Array, rates: Collection[float] = ()) -> dict[float, "Block"]:
         """Drive the rig and return the samples at `rate` and at each of `rates`.
 
         The drive, shape (inputs, ticks), is interpolated linearly between ticks. If a rate was absent in the last call,
@@ -116,7 +114,7 @@ class Bench:
             self._past_motion.popleft()
         return {rate: stream.sample(motion, drive) for rate, stream in self._streams.items()}
 
-    def _make_stream(self, rate: float) -> Stream:
+    def _make_stream(self, rate: float) -> "Stream":
         per_tick = samples_per_tick(rate, self.tick_rate)
         return Stream(self.scene, rate, per_tick, self._plant, self._past_motion, self.channel_settings)
 

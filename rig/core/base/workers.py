@@ -4,8 +4,6 @@ A piece is the argument of a module-level function. Function, piece and result a
 the machines of a cluster need no common folder, except that of recordings. The result does not depend on the worker.
 """
 
-from __future__ import annotations
-
 import logging
 import os
 import signal
@@ -17,7 +15,7 @@ from functools import partial
 from multiprocessing.synchronize import Semaphore
 from queue import SimpleQueue
 from threading import Thread
-from typing import Any, TypeVar
+from typing import Any, Self, TypeVar
 
 from rig.core.base.errors import RunError, SceneError
 
@@ -59,7 +57,7 @@ class Workers:
             self._pool = self._start(cleanup)
             self._cleanup = cleanup.pop_all()
 
-    def __enter__(self) -> Workers:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:

@@ -20,8 +20,6 @@ within a step (`rig.core.engine.screening`): bounds of the fourth derivative, su
 the *margin*: how much closer to its limit a signal can come within a step than at the ends of the step.
 """
 
-from __future__ import annotations
-
 from collections import OrderedDict
 from dataclasses import fields
 from threading import Lock
@@ -66,7 +64,7 @@ MAX_CACHED_SYSTEMS = 32
 # Number of configurations for which memory is first allocated.
 _INITIAL_CAPACITY = 4
 
-_CACHE: OrderedDict[tuple[Any, ...], FlowTables] = OrderedDict()
+_CACHE: OrderedDict[tuple[Any, ...], "FlowTables"] = OrderedDict()
 _LOCK = Lock()
 
 

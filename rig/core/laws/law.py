@@ -14,10 +14,8 @@ References
 Pfeiffer, F., Glocker, C., "Multibody Dynamics with Unilateral Contacts", Wiley 1996, chapters 6 and 8.
 """
 
-from __future__ import annotations
-
 from math import inf
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 from rig.core.laws.events import FLIGHT, NO_EVENT
 
@@ -154,7 +152,7 @@ class Law(NamedTuple):
         ]
         return (fitting or [self.start])[0]
 
-    def reachable(self) -> Law:
+    def reachable(self) -> Self:
         """Return the law with only the regimes that can follow from the regime at the start."""
         names = [self.start]
         for name in names:

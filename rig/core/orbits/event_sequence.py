@@ -5,8 +5,6 @@ The engine describes the *contact* of a damper as flight or one of two walls. An
 which also distinguishes finite-duration contact (`rig.core.orbits.event_kinds`).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -118,7 +116,7 @@ class Plan:
             names.append([template.format(name) for name in element_names])
         return tuple(name for row in names for name in [*row, *[""] * (count - len(row))])
 
-    def has_same_cycle(self, other: Plan) -> bool:
+    def has_same_cycle(self, other: "Plan") -> bool:
         """Return whether the events of both plans are equal after a cyclic shift."""
         events, others = self.label.split(), other.label.split()
         return len(events) == len(others) and (events == others or " ".join(events) in " ".join(others + others))

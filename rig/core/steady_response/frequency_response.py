@@ -1,7 +1,5 @@
 """Steady frequency response of a scene with dampers: exact integration until steady, continued over frequency."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -313,7 +311,7 @@ def frequency_response(
 
 def _compute_in_two_sections(
     pool: ThreadPoolExecutor,
-    continuation: SteadyContinuation,
+    continuation: "SteadyContinuation",
     compute_section: Callable[[Array], list[SteadyPoint]],
     order: Array,
 ) -> list[SteadyPoint]:

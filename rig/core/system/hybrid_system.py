@@ -6,13 +6,11 @@ body and the ground. A *configuration* specifies for each element which of the f
 equations of motion.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import prod
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -241,7 +239,7 @@ class HybridSystem:
         """Whether each damper is a bed of grains."""
         return np.array([element.is_grains for element in self._damper_elements], dtype=bool)
 
-    def with_clearance(self, clearance: float) -> HybridSystem:
+    def with_clearance(self, clearance: float) -> Self:
         """Return the system with the same clearance of all dampers that have walls [m]."""
         return replace(
             self,

@@ -6,11 +6,10 @@ mass of its body.
 Convention: x(t) = Re(X e^{i w t}), so a phase lag is negative.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 import scipy
@@ -101,7 +100,7 @@ class StructuralModel:
         mass, damping = (np.einsum("ji,jk,ki->i", shapes, matrix, shapes) for matrix in (self.mass, self.damping))
         return NaturalModes(omega, shapes, mass, damping)
 
-    def with_bed_masses(self, riding: Iterable[int] = ()) -> StructuralModel:
+    def with_bed_masses(self, riding: Iterable[int] = ()) -> Self:
         """Return the model with the masses of the locked and of the resting beds added to their bodies.
 
         `riding`: numbers of the dampers that rest, from 1. Raises `SceneError` if a damper does not exist.
@@ -120,7 +119,7 @@ class StructuralModel:
         np.add.at(mass, (bodies, bodies), self.bed_mass[beds])
         return replace(self, mass=mass)
 
-    def with_ground_springs(self, bodies: Iterable[int], spring: float) -> StructuralModel:
+    def with_ground_springs(self, bodies: Iterable[int], spring: float) -> Self:
         """Return the model with a ground spring [N/m] on each of the given bodies (indices from 0)."""
         stiffness, supported = self.stiffness.copy(), list(bodies)
         stiffness[supported, supported] += spring

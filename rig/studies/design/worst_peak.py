@@ -1,7 +1,5 @@
 """The worst peak of a structure with dampers at one force level: the maximum over all frequencies and bodies."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
@@ -31,7 +29,7 @@ class Peak:
     acceleration: float  # amplitude of the body's acceleration at the peak [m/s²]
     irregular_share: float  # share of the band's frequencies with irregular motion, which is simulated and averaged
 
-    def reduction_from(self, bare: Peak) -> float:
+    def reduction_from(self, bare: "Peak") -> float:
         """Return the reduction relative to the peak without dampers [dB]."""
         return 20.0 * float(np.log10(bare.magnitude / self.magnitude))
 

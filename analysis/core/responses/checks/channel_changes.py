@@ -11,11 +11,9 @@ same at all lines, so two periods are enough; the drift of a settling sensor dif
 structure affects all outputs, and is not reported.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 import scipy
@@ -170,7 +168,7 @@ def _select(delays: list[_Delay], exchanged: list[_Delay]) -> list[_Delay]:
 
 
 def _gain_warnings(
-    compared: _Compared,
+    compared: "_Compared",
     starts: Sequence[int],
     rate: float,
     inputs: Sequence[str],
@@ -198,7 +196,7 @@ def _gain_warnings(
 
 
 def _find_delays(
-    compared: _Compared,
+    compared: "_Compared",
     starts: Sequence[int],
     rate: float,
     inputs: Sequence[str],
@@ -299,7 +297,7 @@ class _Compared:
     freedom: float  # degrees of freedom of the deviations, relative to the number of parts
 
     @classmethod
-    def of(cls, inputs: ComplexArray, outputs: ComplexArray, frequency: Array) -> _Compared:
+    def of(cls, inputs: ComplexArray, outputs: ComplexArray, frequency: Array) -> Self:
         """Predict outputs from inputs; spectra of shape (parts, channels, lines)."""
         power = (abs(inputs) ** 2).mean(axis=0).max(axis=0)
         excited = power > _MIN_POWER * power.mean()
@@ -308,7 +306,7 @@ class _Compared:
         freedom = max(1.0 - inputs.shape[1] / len(outputs), 1e-300)
         return cls(x, y, y, frequency[excited], freedom).predict(slice(None))
 
-    def predict(self, parts: slice) -> _Compared:
+    def predict(self, parts: slice) -> Self:
         """Predict the outputs of all parts by the responses of these parts."""
         responses = np.linalg.pinv(self.inputs[:, parts]) @ self.measured[:, parts]
         return replace(self, predicted=self.inputs @ responses)

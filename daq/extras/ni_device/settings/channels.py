@@ -1,13 +1,11 @@
 """Channels of a task: their settings and the validation of these settings."""
 
-from __future__ import annotations
-
 import math
 import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
-from typing import Any
+from typing import Any, Self
 
 from daq.extras.ni_device.devices.measurements import MICROPHONE, VOLTAGE, Measurement
 from daq.extras.ni_device.devices.modules import Module
@@ -83,7 +81,7 @@ class Channel:
     @classmethod
     def declare(
         cls, name: str, port: Port, module: Module, measurement: Measurement | None, given: Mapping[str, Any]
-    ) -> Channel:
+    ) -> Self:
         """Create an input, or an output if `measurement` is None, with the given settings.
 
         Raises `DaqError` -200170 if the terminal does not exist, and the errors of `check`.

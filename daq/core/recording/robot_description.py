@@ -4,12 +4,9 @@ The parts have the sizes and positions of `daq.core.drawing.stack`; springs are 
 multiplied by a factor, the exaggeration, which is chosen before the motion is known.
 """
 
-from __future__ import annotations
-
 import math
 import struct
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,9 +17,8 @@ from daq.core.mcap_file.protobuf import Schema, descriptor_set_bytes, text_field
 from rig.core.base.arrays import Array
 from rig.core.scene.scene import Scene
 
-if TYPE_CHECKING:
-    BoxGeometry = tuple[tuple[float, float, float], tuple[float, float, float]]
-
+# Center and size of a box.
+BoxGeometry = tuple[tuple[float, float, float], tuple[float, float, float]]
 # Name of the fixed link of the robot, which does not move.
 WORLD = "world"
 # Largest exaggeration: displacements near a resonance are millimeters, and a millimeter is drawn as two centimeters.

@@ -83,7 +83,7 @@ def _sum_of_displacements(station: Station, terms: Mapping[str, float], names: t
         if place not in rows:
             listed = ", ".join(f"{info.name} ({info.quantity} at {info.at})" for info in station.channels) or "none"
             raise SceneError(
-                f"channels: controlling {names[0]} requires a motion channel at the {place}; the channels are {listed}. "
-                f"Add {{name: {place.replace(' ', '')}, at: {place}}}, or set {names[1]}."
+                f"channels: controlling {names[0]} requires a motion channel at the {place}; the channels are "
+                f"{listed}. Add {{name: {place.replace(' ', '')}, at: {place}}}, or set {names[1]}."
             )
     return Controlled(station, tuple(rows[place] for place in terms), tuple(terms.values()))

@@ -52,20 +52,10 @@ class Sessions:
     def open(self, name: str, behavior: int, peer: str, strict: bool = False) -> tuple[str, bool]:
         """Open a session, or attach to the existing session of this name.
 
-        `behavior` is `INITIALIZE`, `ATTACH`, or 0 for either. With `strict`, an existing name is always an error.
-
-        Returns
-        -------
-        tuple
-            Name of the session; whether it is new.
-
-        Raises
-        ------
-        SessionExists
-            If a new session was requested and the name exists.
-        DaqError
-            -200088 if there is no session to attach to, -50103 if the client has the maximum number of sessions,
-            -200089 if there is a task of that name and `strict` is true.
+        Return the name of the session, and whether it is new. `behavior` is `INITIALIZE`, `ATTACH`, or 0 for either.
+        With `strict`, an existing name is always an error. Raises `SessionExists` if a new session was requested and
+        the name exists, and `DaqError` -200088 if there is no session to attach to, -50103 if the client has the
+        maximum number of sessions, -200089 if there is a task of that name and `strict` is true.
         """
         with self._lock:
             if name and name in self._open and not strict:

@@ -108,19 +108,9 @@ class Study(Generic[Piece, Value]):
     ) -> list[Value]:  # fmt: skip
         """Compute pieces that are missing in the table; return the values of all pieces.
 
-        Parameters
-        ----------
-        table : Path, optional
-            CSV file; pieces in this file are not recomputed.
-        cluster : str, optional
-            See `rig.core.base.workers.Workers`.
-        prepare : callable, optional
-            Called before the first piece is computed.
-
-        Raises
-        ------
-        RunError
-            If the table cannot be read or written, or a worker process ends unexpectedly.
+        `table`: CSV file; pieces in this file are not recomputed; `cluster`: see `rig.core.base.workers.Workers`;
+        `prepare`: called before the first piece is computed. Raises `RunError` if the table cannot be read or written,
+        or a worker process ends unexpectedly.
         """
         stored, report = StoredValues(self, table), progress or (lambda n_completed, total: None)
         n_completed = sum(piece in stored for piece in pieces)

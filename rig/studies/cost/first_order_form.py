@@ -49,34 +49,10 @@ class FirstOrderForm:
 
     An element whose gap is a coordinate has no height and speed: its entries are not used.
 
-    Parameters
-    ----------
-    periods : int
-        Length of the motion, in periods of the drive.
-    number_type : callable
-        Converts a float to the number type of the computation, such as `Decimal`.
-    pi
-        Value of pi in that type.
-    integrals : bool
-        Whether z ends with the real and imaginary parts of the integral of each coordinate times exp(-i w t).
-
-    Attributes
-    ----------
-    size : int
-        Length of z.
-    first_height, constant_index : int
-        Positions in z of the first element's height and of the constant 1; cosine and sine follow the constant.
-    body : ndarray of int, shape (elements,)
-        Coordinate of the body to which the gap of each element is measured.
-    inverse_mass : ndarray, shape (elements,)
-        Inverse mass of that body, 1/kg.
-    start_regimes : list of int
-        Regimes at the start.
-
-    Raises
-    ------
-    SceneError
-        If an impact would change the velocity of other bodies or dampers as well.
+    `periods`: length of the motion, in periods of the drive; `number_type`: converts a float to the number type of the
+    computation, such as `Decimal`; `pi`: its value in that type; `integrals`: whether z ends with the real and
+    imaginary parts of the integral of each coordinate times exp(-i w t). Raises `SceneError` if an impact would change
+    the velocity of other bodies or dampers as well.
     """
 
     def __init__(
@@ -90,11 +66,13 @@ class FirstOrderForm:
             )
         self.system, self.tone, self.periods = system, tone, periods
         n, ns, elements = system.coordinates, system.states, len(system.elements)
+        # Positions in z of the first element's height, and of the constant 1, which cosine and sine follow.
         self.first_height, self.constant_index = ns, ns + 2 * elements
         self._integrals = n if integrals else 0
-        self.size = ns + 2 * elements + 3 + 2 * self._integrals
+        self.size = ns + 2 * elements + 3 + 2 * self._integrals  # length of z
         self.omega = 2 * pi * number_type(tone.frequency)
         self.samples = periods * SAMPLES_PER_PERIOD + 1
+        # Coordinate of the body to which the gap of each element is measured, and the inverse mass of that body [1/kg].
         self.body = np.asarray(system.body_coordinate, dtype=np.int64)
         self.inverse_mass = 1.0 / np.diag(system.mass)[self.body]
         self.exact = np.vectorize(

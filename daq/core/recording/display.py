@@ -4,12 +4,9 @@ Each message of a signal contains one number, in an encoding that general MCAP v
 (positions of its parts) move the drawn rig; the exaggeration is the factor on displacements and gaps in the drawing.
 """
 
-from __future__ import annotations
-
 import math
 import struct
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,13 +15,12 @@ from daq.core.mcap_file.protobuf import Schema
 from daq.core.mcap_file.writer import Message, Messages
 from daq.core.recording import layout
 from daq.core.recording.displacement import DisplacementFilter, motion_sources
+from daq.core.recording.robot_description import TRANSFORMS_SCHEMA, RobotDescription
 from daq.core.recording.sample_groups import Group, Grouping
+from daq.core.recording.truth import Register, Truth
 from daq.core.signal_chain.channel import ChannelInfo
 from rig.core.base.arrays import Array
-
-if TYPE_CHECKING:
-    from daq.core.recording.truth import Register, Truth
-    from rig.core.scene.scene import Scene
+from rig.core.scene.scene import Scene
 
 # Highest sample rate [Hz] of the displayed waveforms: a viewer shows modes of the rig smoothly and stays fast.
 MAX_RATE_HZ = 250.0
@@ -185,8 +181,6 @@ class Display:
         truth: Truth | None,
         register: Register,
     ) -> None:
-        from daq.core.recording.robot_description import TRANSFORMS_SCHEMA, RobotDescription
-
         self._clock, self._truth, self._scale = clock, truth, scale
         # The recorder's groups are converted in longer groups.
         groups = min(layout.MAX_DISPLAY_GROUPS, max(1, layout.MAX_DISPLAY_CHANNELS // len(channels)))

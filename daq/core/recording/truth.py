@@ -3,13 +3,11 @@
 The truth is the simulated motion itself, which no sensor measures (true quantity values, VIM 2.11).
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,10 +20,8 @@ from daq.core.recording.sample_block import SCHEMAS, block_schema
 from daq.core.recording.sample_groups import Group, Grouping
 from daq.core.signal_chain.channel import UNITS
 from rig.core.base.arrays import Array
-
-if TYPE_CHECKING:
-    from rig.core.scene.scene import Scene
-    from rig.core.simulation.motion import Motion
+from rig.core.scene.scene import Scene
+from rig.core.simulation.motion import Motion
 
 # Function that adds a topic of a given name, schema and metadata to the file, and returns its channel number.
 Register = Callable[[str, Schema, Mapping[str, str]], int]

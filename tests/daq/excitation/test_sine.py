@@ -134,7 +134,7 @@ def test_open_loop_drive_moves_table() -> None:
 
 def test_missing_table_channel_is_reported() -> None:
     test = {"kind": "stepped_sine", "frequencies": [20.0], "force": "2.6 N"}
-    with pytest.raises(SceneError, match="needs a motion channel at the table"):
+    with pytest.raises(SceneError, match="requires a motion channel at the table"):
         run(scene_with(test, channels=[{"name": "body1", "at": "body 1"}]))
 
 

@@ -98,7 +98,7 @@ def test_existing_file_needs_overwrite(tmp_path: Path) -> None:
     [
         ("fig8-three-dampers", {"test": None}, "has no test"),
         ("fig10b-three-dampers", {"test": {**HIT, "width": "0.1 ms"}}, r"raise the sample rate \(converter\.rate\)"),
-        ("fig8-three-dampers", {"channels": [{"name": "b", "at": "body 1"}]}, "needs a motion channel at the table"),
+        ("fig8-three-dampers", {"channels": [{"name": "b", "at": "body 1"}]}, "requires a motion channel at the table"),
     ],
 )
 def test_impossible_test_leaves_no_file(name: str, changes: dict[str, Any], message: str, tmp_path: Path) -> None:

@@ -350,18 +350,16 @@ def _filters(acceleration_responses: Array, integrations: int, rate: float) -> l
     responses = np.concatenate([np.zeros(shape), acceleration_responses], axis=-1)
     for _ in range(integrations):
         responses = np.cumsum(responses, axis=-1) / rate
-    columns = np.swapaxes(responses[:, ::-1], 1, 2)
+    responses, count = responses[:, ::-1], responses.shape[-1]
+    # By summation by parts, these sums of a basis and the differences give the same outputs as the basis and the
+    # responses.
+    differences = integrations + 2
+    sums = np.linalg.matrix_power(-np.triu(np.ones((count, count))), differences)[:, :-differences]
     filters_of_orders = []
     for order in ORDERS:
-        polynomials = legendre_basis(responses.shape[-1], order + integrations)
-        without_smooth = columns
+        polynomials = legendre_basis(count, order + integrations)
+        without_smooth = np.eye(count) - polynomials @ polynomials.T
         # A single projection leaves rounding errors, because polynomials are much larger than the response to a jump.
-        for _ in range(2):
-            without_smooth = without_smooth - polynomials @ (polynomials.T @ without_smooth)
-        basis, r_factors = np.linalg.qr(without_smooth)
-        filters = np.swapaxes(basis, 1, 2)
-        # By summation by parts, these filters and the differences give the same outputs as `basis` and the responses.
-        for _ in range(integrations + 2):
-            filters = -np.cumsum(filters, axis=-1)[..., :-1]
-        filters_of_orders.append((np.ascontiguousarray(filters), r_factors))
+        basis, r_factors = np.linalg.qr(np.swapaxes(responses @ without_smooth @ without_smooth, 1, 2))
+        filters_of_orders.append((np.swapaxes(basis, 1, 2) @ sums, r_factors))
     return filters_of_orders

@@ -64,17 +64,13 @@ def fit_modes(
 ) -> FittedModes:
     """Fit the model of significant poles to curves, with the smallest model error that the misfit requires."""
     measured, sigma = measured_curves(curves)
-    magnitude = abs(measured.value)
-    weighted_chart = stabilization_diagram(
-        measured.frequency, measured.value, 1.0 / np.hypot(sigma, _CHART_ERROR * magnitude)
-    )
-    chart = equal_weight_chart(measured)
-    stable, candidates = merge_charts(measured.frequency, [chart, weighted_chart])
+    charts = stabilization_diagrams(measured, sigma)
+    stable, candidates = merge_charts(measured.frequency, charts)
     stable, candidates = stable[:_MAX_INITIAL_POLES], candidates[:_MAX_CANDIDATES]
     max_modes = MAX_MODES if count is None else count
     weighted, model, model_error, assumed = _best_model(measured, sigma, stable, candidates, max_modes, assumed_errors)
     model, rejected = _remove_computational_poles(weighted, model, curves)
-    return FittedModes(measured, weighted, model, chart, model_error, assumed, rejected)
+    return FittedModes(measured, weighted, model, charts[0], model_error, assumed, rejected)
 
 
 def are_errors_stated(curves: Sequence[Response]) -> bool:
@@ -82,11 +78,16 @@ def are_errors_stated(curves: Sequence[Response]) -> bool:
     return any(curve.degrees_of_freedom.any() or curve.limits for curve in curves)
 
 
-def equal_weight_chart(measured: Curves) -> list[ChartPole]:
-    """Compute a stabilization diagram in which all points of a curve have the same weight."""
+def stabilization_diagrams(measured: Curves, sigma: Array) -> tuple[list[ChartPole], list[ChartPole]]:
+    """Compute the diagrams with equal weights of all points of a curve, and with weights of the whole curve.
+
+    `sigma`: standard deviations of the points.
+    """
     magnitude = abs(measured.value)
-    weight = np.ones(magnitude.shape) / magnitude.max(axis=1, keepdims=True)
-    return stabilization_diagram(measured.frequency, measured.value, weight)
+    equal = np.ones(magnitude.shape) / magnitude.max(axis=1, keepdims=True)
+    weights = equal, 1.0 / np.hypot(sigma, _CHART_ERROR * magnitude)
+    first, second = (stabilization_diagram(measured.frequency, measured.value, weight) for weight in weights)
+    return first, second
 
 
 def remove_unbounded(curves: Sequence[Response]) -> list[Response]:

@@ -3,8 +3,10 @@
 Such curves have errors of unknown size (leakage, double impacts, a nonlinear structure). In a model of the whole band
 these errors change every mode, so the result depends on the limits of the band. A model of the lines around a peak is
 independent of the other lines; residual terms represent the other modes. A pole is a mode if it contributes an
-essential part of a curve at its frequency, if its frequency is determined, and if each of four parts of the lines
-confirms it (see `band_choice`). The other poles are uncertain modes, which are listed with their values and the reason.
+essential part of a curve at its frequency, if its frequency and its damping ratio are determined, and if each of four
+parts of the lines confirms it (see `band_choice`). The other poles are uncertain modes, which are listed with their
+values and the reason. Poles without a peak are uncertain modes, too, if most orders of the stabilization diagrams of
+the whole band have them.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -16,9 +18,10 @@ from numpy.typing import NDArray
 
 from analysis.core.modal.band_choice import Part, band_choice, end_parts, half_parts
 from analysis.core.modal.modal_fit import MODEL_ERRORS, FittedModes, fit_modes, remove_unbounded
-from analysis.core.modal.modes import UncertainMode
+from analysis.core.modal.modes import MAX_RELATIVE_UNCERTAINTY, UncertainMode
 from analysis.core.modal.peak_windows import Window, peak_windows
 from analysis.core.modal.pole_errors import pole_errors, systematic_pole_errors
+from analysis.core.modal_models.lscf import ChartPole, merge_charts
 from analysis.core.modal_models.order_selection import are_in_band, are_narrower_than_resolution, half_width
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import RecordingError
@@ -40,6 +43,10 @@ _MIN_UNCERTAINTY = 1e-3
 # and two simulated sets: modes had ratios up to 0.59, computational poles from 0.7 on.
 _MAX_FREQUENCY_RATIO = 0.6
 _UNDETERMINED = "frequency is uncertain"
+_UNDETERMINED_DAMPING = "damping is uncertain"
+_NO_PEAK = "no distinct peak"
+# A pole without a peak is listed if this fraction of the models of the stabilization diagrams have it.
+_MIN_STABLE_SHARE = 0.5
 # Maximum number of fitted lines of a window, about 80 per half-width; of more, every second, third, ... is fitted.
 _MAX_LINES = 1000
 
@@ -157,11 +164,13 @@ def _confirm(window: _WindowFit, halves: Sequence[Part]) -> IdentifiedPoles:
     smallest = -_MIN_UNCERTAINTY * poles.real / np.stack([np.full(poles.size, 2 * np.pi), abs(poles)])
     errors = np.linalg.norm([pole_errors(fitted.weighted, fitted.model), systematic, of_choice, smallest], axis=0)
     natural, damping = abs(poles) / (2 * np.pi), -poles.real / abs(poles)
-    is_determined = expand(errors[0]) < _MAX_FREQUENCY_RATIO * half_width(poles)
-    is_determined |= are_narrower_than_resolution(fitted.weighted, poles)
+    is_narrow = are_narrower_than_resolution(fitted.weighted, poles)
+    is_uncertain = ~is_narrow & (expand(errors[0]) >= _MAX_FREQUENCY_RATIO * half_width(poles))
+    is_damping_uncertain = ~is_narrow & (errors[1] >= MAX_RELATIVE_UNCERTAINTY * damping)
+    texts = np.where(is_uncertain, _UNDETERMINED, np.where(is_damping_uncertain, _UNDETERMINED_DAMPING, ""))
     reasons = [
-        f"not identified {' or '.join(missing)}" if missing else "" if determined else _UNDETERMINED
-        for missing, determined in zip(choice.missing, is_determined.tolist(), strict=True)
+        f"not identified {' or '.join(missing)}" if missing else text
+        for missing, text in zip(choice.missing, texts.tolist(), strict=True)
     ]
     confirmed = window.accepted & np.array([not reason for reason in reasons])
     rows = zip(*(each.tolist() for each in (natural, errors[0], damping, errors[1])), reasons, strict=True)
@@ -178,6 +187,24 @@ def _confirm(window: _WindowFit, halves: Sequence[Part]) -> IdentifiedPoles:
         uncertain,
         fitted.measured.value,
     )
+
+
+def stable_without_peak(frequency: Array, charts: Sequence[list[ChartPole]], known: Array) -> list[UncertainMode]:
+    """List poles that most orders of the stabilization diagrams have, and that are not among known frequencies [Hz].
+
+    `frequency`: of the lines [Hz]. The standard uncertainties are the scatter between the orders.
+    """
+    stable = np.array([each.pole for chart in charts for each in chart if each.stable], dtype=complex)
+    min_count = _MIN_STABLE_SHARE * sum(len({each.order for each in chart}) for chart in charts)
+    found: list[UncertainMode] = []
+    for pole in merge_charts(frequency, charts)[0]:
+        same = stable[abs(stable - pole) < -0.5 * pole.real]
+        natural, damping = abs(same) / (2 * np.pi), -same.real / abs(same)
+        distances = abs(np.append(known, [each.frequency for each in found]) - np.median(natural))
+        if same.size >= min_count and (distances > float(half_width(pole))).all():
+            values = [float(of(each)) for each in (natural, damping) for of in (np.median, np.std)]
+            found.append(UncertainMode(values[0], values[1], values[2], values[3], _NO_PEAK))
+    return found
 
 
 def no_poles(value: ComplexArray) -> IdentifiedPoles:

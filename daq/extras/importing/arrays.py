@@ -35,6 +35,8 @@ _RATE_NAMES = re.compile(r"(.*[._])?(f_?s|sr|rate|(samp|sample|sampling)_?(rate|
 _INTERVAL_NAMES = re.compile(r"(.*[._])?(dt|ts|increment|delta_?t|(sample_?|t)?interval|x?delta)(_?s)?", re.IGNORECASE)
 # Names of arrays that contain the times of the samples.
 _TIME_NAMES = re.compile(r"(.*[._])?(t|time|times|zeit)(_s)?", re.IGNORECASE)
+# Names of the index of a table of pandas; it contains times if it rises evenly, but not by 1.
+_INDEX_NAMES = re.compile(r".*\.(axis1|index)")
 # Shorter arrays are settings, not samples.
 _MIN_SAMPLES = 16
 # Two-dimensional arrays with more channels do not contain samples.
@@ -115,7 +117,9 @@ def _signals(path: Path, content: Mapping[str, Any]) -> list[Signal]:
         if array.size < _MIN_SAMPLES or array.ndim > 2 or (array.ndim == 2 and min(array.shape) > _MAX_CHANNELS):
             continue
         where = f"{path}: {name!r}"
-        if array.ndim == 1 and not _TIME_NAMES.fullmatch(name):
+        is_index = array.ndim == 1 and array.dtype.kind == "f" and _INDEX_NAMES.fullmatch(name)
+        is_time_index = is_index and looks_like_times(array[:_MIN_SAMPLES], float(array[-1]), array.size)
+        if array.ndim == 1 and not is_time_index and not _TIME_NAMES.fullmatch(name):
             sample_arrays[name] = array
             continue
         require_memory_with_program(in_memory + CLOCK_BYTES * max(array.shape), f"{path}: importing it")
@@ -194,7 +198,7 @@ def _clock_of(path: Path, name: str, scalars: Mapping[str, float], clocks: Mappi
         in_structure = [key for key in matching if structure and key.startswith(f"{structure}.")]
         return own or in_structure or [key for key in matching if "." not in key]
 
-    if times := matching_names(_TIME_NAMES, clocks):
+    if times := matching_names(_TIME_NAMES, clocks) or matching_names(_INDEX_NAMES, clocks):
         return clocks[times[0]]
     start = next((scalars[key] for key in ("start_s", f"{structure}.x_values.start_value") if key in scalars), 0.0)
     for key in matching_names(_RATE_NAMES, scalars):

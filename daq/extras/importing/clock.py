@@ -20,7 +20,7 @@ from rig.core.results import format_percent
 from rig.core.settings.quantities import TIME, parse
 
 # Names of a column of times.
-TIME_NAMES = re.compile(r"((date|datum)[ _/]?)?(time|zeit|t|x_value|seconds?)(stamp)?", re.IGNORECASE)
+TIME_NAMES = re.compile(r"((date|datum)[ _/&]?)?(time|zeit|t|x_value|seconds?)(stamp)?", re.IGNORECASE)
 
 # Relative rounding error of a number with all its digits.
 _RATE_ROUNDING = 1e-12
@@ -206,7 +206,10 @@ def _rate_with_gaps(
         raise RecordingError(f"{where} do not increase: from {first!r} s to {last!r} s. Sort the rows by time.")
     lost_total = sum(count for _, count in missing)
     intervals = rows + lost_total - 1
-    rate = rate_of_interval((last - first) / intervals, resolution / intervals)
+    try:
+        rate = rate_of_interval((last - first) / intervals, resolution / intervals)
+    except RecordingError as error:
+        raise RecordingError(f"{where}: {error}") from None
     if missing:
         places = "one place" if len(missing) == 1 else f"{len(missing)} places"
         lost = "1 sample is" if lost_total == 1 else f"{lost_total} samples are"

@@ -30,7 +30,9 @@ _ABSCISSA_WITH_SLASH = re.compile(r"(t|time|zeit|f|freq|frequency|frequenz)/([mn
 # Units that are not products of powers of other units.
 _ANGLE_OR_DECIBEL = re.compile(r"deg(rees?)?|°|rad(ians?)?|grad|dB\b.*", re.IGNORECASE)
 # Name of a column of line numbers; the abscissa is the next column.
-_LINE_NUMBER = re.compile(r"(#|no|nr|n|line|index|idx|sample|point|row)\.?( ?(#|no|nr|number)\.?)?", re.IGNORECASE)
+_LINE_NUMBER = re.compile(
+    r"(#|no|nr|n|number|line|index|idx|sample|point|row)\.?( ?(#|no|nr|number)\.?)?", re.IGNORECASE
+)
 #: Units of time: the first cell of a line of units is one of them, or empty.
 TIME_UNITS = ("s", "ms", "us", "µs", "ns", "sec", "msec", "usec", "µsec", "second", "Second", "Seconds")
 # Units of time or of frequency.
@@ -72,7 +74,7 @@ _STATED_RATE = re.compile(
 )
 # The sample interval in a line of a heading: ``Delta T (s): 0.001``.
 _STATED_INTERVAL = re.compile(
-    rf"\W*(?:delta[ _]?t|dt|sampl\w*[ _-]?(?:interval|period))\W*({_INTERVAL_UNIT})?\W*"
+    rf"\W*(?:delta[ _]?t|dt|(?:sampl\w*|time)[ _-]?(?:interval|period))\W*({_INTERVAL_UNIT})?\W*"
     rf"(\d[\d.,]*(?:e[-+]?\d+)?)(?:\W*|\W*({_INTERVAL_UNIT})\W*)",
     re.IGNORECASE,
 )
@@ -82,8 +84,12 @@ _START_AND_INTERVAL = ("Start", "Increment")
 _DATED_TIME = re.compile(r"(\d\d?)([./])(\d\d?)[./](\d{4})[ T](.+)")
 # A time of day in the first or in the second half of the day.
 _TWELVE_HOURS = re.compile(r"(.*?)\b(\d\d?)(:\d\d:\d\d\S*) ?([AP])M", re.IGNORECASE)
+# A time in seconds, as MATLAB writes tables with times.
+_DURATION = re.compile(r"(-?\d+\.?\d*(?:e[-+]?\d+)?) sec", re.IGNORECASE)
 # Decimal digits of the seconds in a time of day.
-_SECOND_FRACTION = re.compile(r":\d\d[.,](\d+)")
+_SECOND_FRACTION = re.compile(r"(?::\d\d[.,]|^-?\d+\.(?=\d+ sec))(\d+)")
+# Units of the times that functions of microcontrollers return.
+_UNITS_OF_NAMES = {"millis": "ms", "micros": "us"}
 # A date or time of day is read to microseconds.
 _MAX_FRACTION_DIGITS = 6
 
@@ -327,16 +333,18 @@ def _with_columns(layout: Layout, heading: Sequence[str], cells: Sequence[str]) 
             first_cell = keyed.first_column
             names = [name or other for name, other in zip(keyed.names, names[first_cell:], strict=True)]
             units = keyed.units
+    keyed_lines = [" ".join(dict.fromkeys(cell for cell in row if cell)) for row in rows_above]
+    rate = rate_of_interval(interval) if interval else _stated_rate([*heading, *keyed_lines], layout.decimal_comma)
     is_numbered = _LINE_NUMBER.fullmatch(names[0]) or names[0] == UNNAMED.format(1)
     # The column of times is empty if the heading states the sample interval.
     is_empty = len(names) > 2 and not cells[first_cell] and _is_abscissa(names[0], units[0])
-    if interval or is_empty or (len(names) > 2 and is_numbered and _is_abscissa(names[1], units[1])):
+    is_numbered_abscissa = len(names) > 2 and is_numbered and _is_abscissa(names[1], units[1])
+    is_omitted = interval or is_empty or is_numbered_abscissa or (rate and _LINE_NUMBER.fullmatch(names[0]))
+    if len(names) > 1 and is_omitted:
         first_cell, names, units = first_cell + 1, names[1:], units[1:]
     if len(names) > 2 and _COMMENTS.fullmatch(names[-1]):
         stop, names, units = stop - 1, names[:-1], units[:-1]
     positions = None if (first_cell, stop) == (0, len(cells)) else tuple(range(first_cell, stop))
-    keyed_lines = [" ".join(dict.fromkeys(cell for cell in row if cell)) for row in rows_above]
-    rate = rate_of_interval(interval) if interval else _stated_rate([*heading, *keyed_lines], layout.decimal_comma)
     return layout._replace(names=names, units=units, cells=positions, rate=rate)
 
 
@@ -422,7 +430,9 @@ def _are_units(row: Sequence[str], above: Sequence[str]) -> bool:
     """Return whether a line of a heading contains the units of the names in the line above."""
     units = [_without_brackets(cell) for cell in row]
     has_units, above_has_units = (any(map(is_unit, filter(None, cells[1:]))) for cells in (units, above))
-    is_time = units[0] in _ABSCISSA_UNITS or (has_units and TIME_NAMES.fullmatch(above[0]) is not None)
+    is_time = units[0] in _ABSCISSA_UNITS or (
+        has_units and any(names.fullmatch(above[0]) for names in (TIME_NAMES, _LINE_NUMBER))
+    )
     if not is_time or max(map(len, units)) > _MAX_UNIT_LENGTH or (above_has_units and not has_units):
         return False
     in_brackets = all(unit != cell for unit, cell in zip(units, row, strict=True))
@@ -440,7 +450,7 @@ def name_and_unit(cell: str) -> tuple[str, str]:
             unit = match[2].strip()
             is_known = pattern is not _UNIT_AFTER_SLASH or _ANGLE_OR_DECIBEL.fullmatch(unit) or is_unit(unit)
             return ((match[1] or "").rstrip("/ "), unit) if is_known else (cell, "")
-    return cell, ""
+    return cell, _UNITS_OF_NAMES.get(cell.lower(), "")
 
 
 def _is_abscissa(name: str, unit: str) -> bool:
@@ -500,7 +510,11 @@ def stamp_seconds(cell: str) -> float | None:
     86401.0
     >>> stamp_seconds("00:01:00.5"), stamp_seconds("02.01.1970 0:00:01,5"), stamp_seconds("1/2/1970 12:00:01 AM")
     (60.5, 86401.5, 86401.0)
+    >>> stamp_seconds("0.25 sec")
+    0.25
     """
+    if duration := _DURATION.fullmatch(cell):
+        return float(duration[1])
     if ":" not in cell:
         return None
     if dated := _DATED_TIME.fullmatch(cell):

@@ -84,7 +84,7 @@ def text_signals(path: Path, _stack: ExitStack) -> list[Signal]:
     clock, first_data_column = Clock(None), 0
     are_named_times = TIME_NAMES.fullmatch(layout.names[0]) is not None or layout.units[0] in TIME_UNITS
     if len(columns) > 1 and (are_named_times or table.has_times_of_day or table.first_column_can_only_be_times()):
-        clock, first_data_column = table.estimate_clock(layout.units[0]), 1
+        clock, first_data_column = table.estimate_clock(layout.units[0]), 1 + table.has_milliseconds
     elif layout.rate:
         clock = Clock(layout.rate)
         warn(f"{path}: the table has no times; the sample rate of its heading, {layout.rate:.6g} Hz, is used")
@@ -248,15 +248,20 @@ class _Table:
             return f"line {line_number}: {last_cells[-1]!r:.40} is shorter than in other lines, and the line has no end"
         return ""
 
-    def _first_cells(self) -> list[str]:
-        """Return the cells of the first column in the examined lines."""
-        position = self._layout.cells[0] if self._layout.cells else 0
+    def _first_cells(self, column: int = 0) -> list[str]:
+        """Return the cells of a column in the examined lines."""
+        position = self._layout.cells[column] if self._layout.cells else column
         return [split_cells(line, self._layout.delimiter)[position] for line in self._examined_lines]
 
     @property
     def has_times_of_day(self) -> bool:
         """Whether the first column contains times of day, with or without dates."""
         return any(stamp_seconds(cell) is not None for cell in self._first_cells()[:1])
+
+    @property
+    def has_milliseconds(self) -> bool:
+        """Whether the second column contains the milliseconds of the times of day in the first column."""
+        return self.has_times_of_day and self._layout.names[1:2] == ["ms"]
 
     def first_column_can_only_be_times(self) -> bool:
         """Return whether the first column of a table without heading can only be times; warn if so."""
@@ -285,7 +290,10 @@ class _Table:
         scale = time_scale("" if self.has_times_of_day else unit, where)
         require_memory_with_program(CLOCK_BYTES * self.rows, f"{self._path}: importing it")
         times = self.values[:, 0] * scale
-        if self.has_times_of_day:
+        if self.has_milliseconds:
+            times = times + 1e-3 * self.values[:, 1]
+            resolution = min(1e-3 * 10.0 ** -len(re.split("[.,]", f"{cell}.")[1]) for cell in self._first_cells(1))
+        elif self.has_times_of_day:
             resolution = min(map(stamp_resolution, self._first_cells()))
         else:
             largest = float(abs(times[[0, -1]]).max(initial=1e-300)) if self.rows else 1.0

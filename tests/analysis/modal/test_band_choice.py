@@ -11,6 +11,7 @@ import analysis
 from analysis.core.modal import window_fits
 from analysis.core.modal.band_choice import BandChoice, Part, band_choice, end_parts, half_parts
 from analysis.core.modal.modal_fit import MODEL_ERRORS, fit_modes
+from analysis.core.modal_models.lscf import ChartPole
 from analysis.core.modal_models.pole_residue import Curves, fit
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import RecordingError
@@ -141,19 +142,38 @@ def test_pole_wider_than_window_is_rejected(n_lines: int, n_modes: int) -> None:
     assert window_fits._fit_window([curve], window, n_lines).poles.size == n_modes
 
 
-def test_pole_of_uncertain_frequency_is_uncertain(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("choice", "reason"),
+    [
+        ({"frequency_std": np.array([1.2])}, r"\(120\.0 ± 2\.4\) Hz \(frequency is uncertain"),
+        ({"damping_std": np.array([0.011])}, "damping is uncertain"),
+    ],
+)
+def test_undetermined_pole_is_uncertain(choice: dict[str, Array], reason: str, monkeypatch: pytest.MonkeyPatch) -> None:
     s, omega = 2j * np.pi * FREQUENCY, 2 * np.pi * 120.0
     curve = Response.curve(FREQUENCY, 1.0 / (s**2 + 0.06 * omega * s + omega**2), "a1")
     assert analysis.identify([curve]).frequency.size == 1
-    # Its half-width is 3.6 Hz.
+    # Its half-width is 3.6 Hz, its damping ratio 0.03.
     exact = window_fits.band_choice
 
     def shifted(*arguments: Any) -> BandChoice:
-        return exact(*arguments)._replace(frequency_std=np.array([1.2]))
+        return exact(*arguments)._replace(**choice)
 
     monkeypatch.setattr(window_fits, "band_choice", shifted)
-    with pytest.raises(RecordingError, match=r"Uncertain modes: \(120\.0 ± 2\.4\) Hz"):
+    with pytest.raises(RecordingError, match=f"Uncertain modes: .*{reason}"):
         analysis.identify([curve])
+
+
+@pytest.mark.parametrize(("n_orders", "known", "n_listed"), [(16, [], 1), (8, [], 0), (16, [121.0], 0)])
+def test_stable_pole_without_peak_is_uncertain(n_orders: int, known: list[float], n_listed: int) -> None:
+    chart = [ChartPole(order, 120.0 + 0.01 * order, 0.03, order >= 24 - n_orders) for order in range(2, 24)]
+
+    listed = window_fits.stable_without_peak(FREQUENCY, [chart], np.array(known))
+
+    assert len(listed) == n_listed
+    for each in listed:
+        assert each.frequency == pytest.approx(120.0, abs=0.3) and 0.0 < each.frequency_std < 0.1
+        assert each.reason == "no distinct peak"
 
 
 def test_fewer_residuals_than_parameters_are_fitted() -> None:

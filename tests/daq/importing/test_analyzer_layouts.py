@@ -240,6 +240,10 @@ SIGNALS = ["force", "tip"]
         ("Sampling rate [Hz]:;1024\nforce (N);tip (g)", "{force:.6f};{tip:.6f}"),
         ("Delta T (ms):;0.9765625\nforce (N);tip (g)", "{force:.6f};{tip:.6f}"),
         ("time_ms;force_N;tip_m/s2", "{ms:.5f};{force:.6f};{tip:.6f}"),
+        ("millis;force;tip", "{ms:.5f};{force:.6f};{tip:.6f}"),
+        ("Time;force;tip", "{time:.8f} sec;{force:.6f};{tip:.6f}"),
+        ("Number,Date&Time,ms,force,tip\nNO.,Time,ms,N,g", "{number},2026/11/30 10:00:00,{ms:.4f},{force},{tip:.6f}"),
+        ("Time interval : 0.9765625mS\n\n    #    force(N)    tip(g)", "{number}    {force:.6f}    {tip:.6f}"),
         ("Time (s);force (N);tip (g);Comment", "{time:.8f};{force:.6f};{tip:.6f};{comment}"),
         ("Time [s]   force [N]   tip [m/s²]", "{time:.8f}   {force:.6f}   {tip:.6f}"),
     ],
@@ -449,9 +453,10 @@ def test_other_items_of_hdf5_are_omitted(tmp_path: Path) -> None:
     ]
 
 
-def test_table_of_hdf5_has_columns(tmp_path: Path) -> None:
+@pytest.mark.parametrize("times", ["time", "index"])
+def test_table_of_hdf5_has_columns(times: str, tmp_path: Path) -> None:
     with h5py.File(tmp_path / "a.h5", "w") as file:
-        file["data"] = np.array([tuple(row) for row in SAMPLES], dtype=[("time", "f8"), ("force", "f8"), ("tip", "f8")])
+        file["data"] = np.array([tuple(row) for row in SAMPLES], dtype=[(times, "f8"), ("force", "f8"), ("tip", "f8")])
     with ExitStack() as stack:
         signals = signals_of(tmp_path / "a.h5", stack)
         assert [(signal.name, signal.rate) for signal in signals] == [("data.force", 1024.0), ("data.tip", 1024.0)]

@@ -8,33 +8,17 @@ from pathlib import Path
 from daq.extras.importing.signal import Signal
 from rig.core.base.errors import RecordingError
 
-# Suffix: module of this package, and its function; imported when needed, because their packages are optional.
-_TEXT = ("text_table", "text_signals")
-_ARRAYS = ("arrays", "array_signals")
-_SOUND = ("sound", "sound_signals")
-_UNIVERSAL = ("uff", "uff_signals")
-READERS = {
-    ".tdms": ("tdms", "tdms_signals"),
-    ".uff": _UNIVERSAL,
-    ".unv": _UNIVERSAL,
-    ".wav": _SOUND,
-    ".w64": _SOUND,
-    ".flac": _SOUND,
-    ".aiff": _SOUND,
-    ".aif": _SOUND,
-    ".csv": _TEXT,
-    ".txt": _TEXT,
-    ".tsv": _TEXT,
-    ".lvm": _TEXT,
-    ".asc": _TEXT,
-    ".dat": _TEXT,
-    ".npz": _ARRAYS,
-    ".npy": _ARRAYS,
-    ".mat": _ARRAYS,
-    ".h5": _ARRAYS,
-    ".hdf5": _ARRAYS,
-    ".mcap": ("float_topics", "mcap_signals"),
+# Module of this package and its function: suffixes of its files. Modules are imported when needed, because the packages
+# that they use are optional.
+_READERS = {
+    ("tdms", "tdms_signals"): (".tdms",),
+    ("uff", "uff_signals"): (".uff", ".unv"),
+    ("sound", "sound_signals"): (".wav", ".w64", ".flac", ".aiff", ".aif"),
+    ("arrays", "array_signals"): (".npz", ".npy", ".mat", ".h5", ".hdf5"),
+    ("float_topics", "mcap_signals"): (".mcap",),
 }
+# Programs give text tables many suffixes.
+_TEXT = ("text_table", "text_signals")
 
 
 def signals_of(path: Path, stack: ExitStack) -> list[Signal]:
@@ -46,8 +30,8 @@ def signals_of(path: Path, stack: ExitStack) -> list[Signal]:
         raise RecordingError(f"{path}: no such file. Check the path.")
     if not path.is_file():
         raise RecordingError(f"{path} is not a file. Give the path of each file to import.")
-    # Programs give text tables many suffixes.
-    module, function = READERS.get(path.suffix.lower(), _TEXT)
+    suffix = path.suffix.lower()
+    module, function = next((reader for reader, suffixes in _READERS.items() if suffix in suffixes), _TEXT)
     read: Callable[[Path, ExitStack], list[Signal]] = getattr(import_module(f"daq.extras.importing.{module}"), function)
     try:
         signals = [signal for signal in read(path, stack) if signal.samples > 1]

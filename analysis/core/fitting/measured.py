@@ -8,18 +8,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from analysis.core.recordings.names import sweep_name
 from analysis.core.responses.driven_forces import driven_forces
 from analysis.core.responses.errors.systematic import IRREGULAR, REFERENCE_NOISE, tolerance
-from analysis.core.responses.estimator import annotate
 from analysis.core.responses.frequency_responses import frequency_responses
 from analysis.core.responses.measurands import (
     default_reference,
-    motion_of,
     reference_of,
-    required_channels,
     response_channels,
 )
-from analysis.core.responses.stepped_sine import sweep_name, sweeps
 from daq.core.recording.recording import Recording
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import RecordingError
@@ -120,21 +117,10 @@ def measured_curves(rec: Recording, name: str) -> list[Curves]:
             f"{name}: {rec.test.name} with {parts} cannot be fitted, because their response depends on the "
             "level. Record test: {kind: stepped_sine, ...} at one or several levels."
         )
-    if has_tones:
-        all_sweeps, denominator = sweeps(rec, required_channels(rec, names, reference)), reference_of(rec, reference)
-        return [
-            _curves(
-                rec,
-                annotate(rec, [sweep.lines.frf(rec, motion_of(rec, each), denominator) for each in names]),
-                reference,
-                f"{name}, {sweep_name(rec, (sweep.level, sweep.direction))}" if len(all_sweeps) > 1 else name,
-            )
-            for sweep in all_sweeps
-        ]
     groups = frequency_responses(rec, names, reference)
     return [
-        _curves(rec, group, reference, name if len(groups) == 1 else f"{name}, part {number}")
-        for number, group in enumerate(groups, 1)
+        _curves(rec, group, reference, f"{name}, {sweep_name(group.label, rec.scene.name)}".removesuffix(", "))
+        for group in groups
     ]
 
 

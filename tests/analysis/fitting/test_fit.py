@@ -230,6 +230,16 @@ def test_failed_channel_is_omitted(tmp_path):
                 measured_curves(recording, "b")
 
 
+def test_channel_that_changes_during_sweep_is_named(tmp_path):
+    with daq.open(synthetic.stepped_sine(tmp_path / "a.mcap", FREQUENCIES, noise=1e-8)) as recording:
+        samples = recording.read("body2")
+        samples[recording.samples // 2 :] *= 0.5
+        read = recording.read
+        recording.read = lambda name, *bounds: samples[slice(*bounds)] if name == "body2" else read(name, *bounds)
+        (curves,) = measured_curves(recording, "a")
+    assert any(text.startswith("body2: its gain changes by a factor of 0.5") for text in curves.warnings)
+
+
 @pytest.mark.parametrize(
     ("level", "label"), [({"force": 2.6}, "a, 2.6 N up"), ({"drive": 2.6}, "a, level 2.6 up")], ids=["force", "drive"]
 )

@@ -175,6 +175,14 @@ def test_late_force_blames_no_intact_response(tmp_path):
     assert re.match(r"f3 seems to be (1\.9|2) ms late from about", warning_of_late_channel(path, "f3"))
 
 
+def test_late_force_is_seen_by_all_responses(tmp_path, monkeypatch):
+    # The first two responses are at the same point, so they do not determine two forces.
+    monkeypatch.setattr(f"{__name__}.SCENE", SCENE.replace("a2, at: body 2", "a2, at: body 1"))
+    masses, springs = ["1.07 kg", "0.8 kg", "1.05 kg"], ["16.7 kN/m", "12.6 kN/m", "22.7 kN/m"]
+    path = record_scene(tmp_path / "a.mcap", MULTISINE, 1, masses=masses, springs=springs)
+    assert warning_of_late_channel(path, "f3").startswith("f3 seems to be 2 ms late from about")
+
+
 def test_missing_experiment_omits_realisation(multisine_path):
     with daq.open(multisine_path) as rec:
         last = [marker for marker in rec.markers if marker.kind == "measure"][-1]

@@ -11,7 +11,7 @@ same at all lines, so two periods are enough; the drift of a settling sensor dif
 structure affects all outputs, and is not reported.
 """
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple, Self
 
@@ -134,13 +134,16 @@ def change_warnings(rec: Recording, parts: Parts, channels: Sequence[str]) -> li
     clean, frequency, spectra = _spectra(rec, parts, [*inputs, *outputs])
     if len(clean) < max(_MIN_PERIODS, len(inputs) + 1):
         return []
-    compared = _Compared.of(spectra[:, : len(inputs)], spectra[:, len(inputs) :], frequency)
-    delays = _find_delays(compared, clean, rec.rate, inputs, outputs, parts.is_steady)
+    x, y = spectra[:, : len(inputs)], spectra[:, len(inputs) :]
+    test = _Test(clean, rec.rate, inputs, outputs, parts.is_steady)
+    compared = _Compared.of(x, y, frequency, test)
+    delays = compared.delay_changes()
     if 1 < len(inputs) <= len(outputs):
-        # As many responses as inputs determine the inputs, of which a late one differs from the others.
-        used = len(inputs)
-        exchanged = _Compared.of(spectra[:, used : 2 * used], spectra[:, :used], frequency)
-        delays = _select(delays, _find_delays(exchanged, clean, rec.rate, outputs[:used], inputs, parts.is_steady))
+        # The responses determine the inputs, of which a late one differs from the others.
+        exchanged = _Compared.of(
+            _components(y, len(inputs)), x, frequency, replace(test, inputs=outputs, outputs=inputs)
+        )
+        delays = _select(delays, exchanged.delay_changes())
     warnings = [delay.describe() for delay in delays]
     # The delay of an input, or of a channel that may be an input, changes the relative gains of all outputs.
     if any(delay.reference or delay.channel in inputs for delay in delays):
@@ -148,10 +151,7 @@ def change_warnings(rec: Recording, parts: Parts, channels: Sequence[str]) -> li
     has_one_steady_input = parts.is_steady and len(inputs) == 1
     if len(clean) < (_MIN_PERIODS if has_one_steady_input else max(_MIN_PARTS, len(inputs) + _MIN_SIDE + 1)):
         return warnings
-    late = {delay.channel for delay in delays}
-    rows = [row for row, name in enumerate(outputs) if name not in late]
-    compared = replace(compared, measured=compared.measured[:, :, rows], predicted=compared.predicted[:, :, rows])
-    return warnings + _gain_warnings(compared, clean, rec.rate, inputs, [outputs[row] for row in rows], parts.is_steady)
+    return warnings + compared.without({delay.channel for delay in delays}).gain_warnings()
 
 
 def _select(delays: list[_Delay], exchanged: list[_Delay]) -> list[_Delay]:
@@ -165,67 +165,6 @@ def _select(delays: list[_Delay], exchanged: list[_Delay]) -> list[_Delay]:
         delay._replace(reference=" or ".join(each.channel for each in larger if each.change * delay.change < 0.0))
         for delay in smaller
     ]
-
-
-def _gain_warnings(
-    compared: "_Compared",
-    starts: Sequence[int],
-    rate: float,
-    inputs: Sequence[str],
-    outputs: Sequence[str],
-    is_steady: bool,
-) -> list[str]:
-    """Return a warning for each channel whose gain changes."""
-    gains, limits = compared.gains()
-    warnings = []
-    for k, step in enumerate(_largest_step(*rows, is_steady) for rows in zip(gains, limits, strict=True)):
-        if step is None or abs(step.change) <= _MIN_CHANGE * max(abs(step.before), abs(step.after)):
-            continue
-        time = _time(step, gains[k], starts, rate)
-        others = [_changed(other, step.part) for other in np.delete(gains, k, axis=0)]
-        if all(abs(other.change) < _MAX_COMMON * abs(step.change) for other in others):
-            blamed = outputs[k] if others else f"{outputs[k]} or {' or '.join(inputs)}"
-            warnings.append(describe_change(blamed, step.ratio, time))
-        elif len(inputs) == 1 and all(
-            abs(other.ratio - step.ratio) <= _MAX_COMMON * abs(step.ratio) for other in others
-        ):
-            # If all responses change equally, the input has changed; a failed input predicts zero for all responses.
-            warnings.append(describe_change(inputs[0], 1.0 / step.ratio if step.ratio else 0.0, time))
-            break
-    return warnings
-
-
-def _find_delays(
-    compared: "_Compared",
-    starts: Sequence[int],
-    rate: float,
-    inputs: Sequence[str],
-    outputs: Sequence[str],
-    is_steady: bool,
-) -> list[_Delay]:
-    """Return the change of each channel whose delay changes."""
-    delays, limits = compared.delays()
-    determined = np.flatnonzero(np.isfinite(delays).all(axis=1))
-    delays, limits = delays[determined], limits[determined]
-    outputs = [outputs[row] for row in determined.tolist()]
-    found = []
-    for k, step in enumerate(_largest_step(*rows, is_steady) for rows in zip(delays, limits, strict=True)):
-        if step is None or abs(step.change) < compared.min_delay:
-            continue
-        time, refined = _time(step, delays[k], starts, rate), delays
-        error = float(np.median(limits[k, step.part :]))
-        if step.part >= len(inputs):
-            # Predictions from the parts before the step contain no noise of those after it.
-            from_before, errors = (values[determined] for values in compared.predict(slice(step.part)).delays())
-            refined = np.where(np.isfinite(from_before), from_before, delays)
-            step, error = _changed(refined[k], step.part), float(np.median(errors[k, step.part :]))
-        others = [_changed(other, step.part).change for other in np.delete(refined, k, axis=0)]
-        if all(abs(other) < _MAX_COMMON * abs(step.change) for other in others):
-            found.append(_Delay(outputs[k], step.change, time, error, "" if others else " or ".join(inputs)))
-        elif len(inputs) == 1 and all(abs(other - step.change) < _MAX_COMMON * abs(step.change) for other in others):
-            # If all responses become early, the input has become late.
-            return [*found, _Delay(inputs[0], -step.change, time, error, "")]
-    return found
 
 
 def describe_delay(name: str, delay: float, place: str, reference: str = "", period: float = 0.0) -> str:
@@ -286,10 +225,43 @@ def _spectra(rec: Recording, parts: Parts, names: Sequence[str]) -> tuple[list[i
     return clean, frequency[in_band], np.array(spectra)
 
 
+def _components(outputs: ComplexArray, count: int) -> ComplexArray:
+    """Return the largest principal components of outputs at each line; spectra of shape (parts, channels, lines)."""
+    scale = np.maximum(np.sqrt((abs(outputs) ** 2).mean(axis=(0, 2), keepdims=True)), 1e-300)
+    spectra = np.moveaxis(outputs / scale, 2, 0)
+    directions = np.linalg.svd(spectra, full_matrices=False)[2][:, :count]
+    return np.moveaxis(spectra @ directions.conj().swapaxes(1, 2), 0, 2)
+
+
+@dataclass(frozen=True)
+class _Test:
+    """Parts and channels of a test."""
+
+    starts: Sequence[int]  # first sample of each part
+    rate: float  # Hz
+    inputs: Sequence[str]
+    outputs: Sequence[str]
+    is_steady: bool
+
+    def cause(self, steps: Mapping[int, _Step], row: int, quantity: str) -> str:
+        """Return the channel that causes a step of an output: the output, or the input of all; "" if it is unknown.
+
+        `steps`: changes of all outputs at the step of the output `row`; `quantity`: property that an input changes
+        equally.
+        """
+        step, others = steps[row], [other for index, other in steps.items() if index != row]
+        if all(abs(other.change) < _MAX_COMMON * abs(step.change) for other in others):
+            return self.outputs[row]
+        own = getattr(step, quantity)
+        is_common = all(abs(getattr(other, quantity) - own) <= _MAX_COMMON * abs(own) for other in others)
+        return self.inputs[0] if is_common and len(self.inputs) == 1 else ""
+
+
 @dataclass(frozen=True)
 class _Compared:
     """Spectra of the inputs, of the outputs and of their predictions, shape (lines, parts, channels)."""
 
+    test: _Test
     inputs: ComplexArray
     measured: ComplexArray
     predicted: ComplexArray
@@ -297,19 +269,68 @@ class _Compared:
     freedom: float  # degrees of freedom of the deviations, relative to the number of parts
 
     @classmethod
-    def of(cls, inputs: ComplexArray, outputs: ComplexArray, frequency: Array) -> Self:
+    def of(cls, inputs: ComplexArray, outputs: ComplexArray, frequency: Array, test: _Test) -> Self:
         """Predict outputs from inputs; spectra of shape (parts, channels, lines)."""
         power = (abs(inputs) ** 2).mean(axis=0).max(axis=0)
         excited = power > _MIN_POWER * power.mean()
         x, y = (np.moveaxis(spectra[:, :, excited], 2, 0) for spectra in (inputs, outputs))
         # The prediction is fitted to the noisy parts, which reduces the scatter.
         freedom = max(1.0 - inputs.shape[1] / len(outputs), 1e-300)
-        return cls(x, y, y, frequency[excited], freedom).predict(slice(None))
+        return cls(test, x, y, y, frequency[excited], freedom).predict(slice(None))
 
     def predict(self, parts: slice) -> Self:
         """Predict the outputs of all parts by the responses of these parts."""
         responses = np.linalg.pinv(self.inputs[:, parts]) @ self.measured[:, parts]
         return replace(self, predicted=self.inputs @ responses)
+
+    def without(self, omitted: Collection[str]) -> Self:
+        """Omit outputs."""
+        rows = [row for row, name in enumerate(self.test.outputs) if name not in omitted]
+        test = replace(self.test, outputs=[self.test.outputs[row] for row in rows])
+        return replace(self, test=test, measured=self.measured[:, :, rows], predicted=self.predicted[:, :, rows])
+
+    def gain_warnings(self) -> list[str]:
+        """Return a warning for each channel whose gain changes."""
+        test, warnings = self.test, []
+        gains, limits = self.gains()
+        for k, name in enumerate(test.outputs):
+            step = _largest_step(gains[k], limits[k], test.is_steady)
+            if step is None or abs(step.change) <= _MIN_CHANGE * max(abs(step.before), abs(step.after)):
+                continue
+            time = _time(step, gains[k], test.starts, test.rate)
+            cause = test.cause({row: _changed(each, step.part) for row, each in enumerate(gains)}, k, "ratio")
+            if cause == name:
+                blamed = name if len(gains) > 1 else " or ".join([name, *test.inputs])
+                warnings.append(describe_change(blamed, step.ratio, time))
+            elif cause:
+                # A failed input predicts zero for all responses.
+                warnings.append(describe_change(cause, 1.0 / step.ratio if step.ratio else 0.0, time))
+                break
+        return warnings
+
+    def delay_changes(self) -> list[_Delay]:
+        """Return the change of each channel whose delay changes."""
+        test, found = self.test, list[_Delay]()
+        delays, limits = self.delays()
+        determined = np.flatnonzero(np.isfinite(delays).all(axis=1)).tolist()
+        for k in determined:
+            step = _largest_step(delays[k], limits[k], test.is_steady)
+            if step is None or abs(step.change) < self.min_delay:
+                continue
+            time, refined, errors = _time(step, delays[k], test.starts, test.rate), delays, limits
+            if step.part >= self.inputs.shape[2]:
+                # Predictions from the parts before the step contain no noise of those after it.
+                from_before, errors = self.predict(slice(step.part)).delays()
+                refined = np.where(np.isfinite(from_before), from_before, delays)
+            steps = {row: _changed(refined[row], step.part) for row in determined}
+            cause = test.cause(steps, k, "change")
+            delay = _Delay(cause, steps[k].change, time, float(np.median(errors[k, step.part :])), "")
+            if cause == test.outputs[k]:
+                found.append(delay._replace(reference="" if len(steps) > 1 else " or ".join(test.inputs)))
+            elif cause:
+                # If all responses become early, the input has become late.
+                return [*found, delay._replace(change=-delay.change)]
+        return found
 
     def gains(self) -> tuple[Array, Array]:
         """Return gains relative to all parts, and the smallest visible steps, (outputs, parts)."""

@@ -13,6 +13,7 @@ from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import RecordingError
 from rig.core.base.renamed import renamed
 from rig.core.results.uncertainty import expand
+from rig.core.system.structural_model import structural_model
 
 
 @dataclass(frozen=True)
@@ -46,8 +47,6 @@ def energy_per_period(rec: Recording, sweep: Sweep) -> EnergyBalance:
     `rec`: recording of a stepped-sine test with a channel on every body; `sweep`: result of
     `analysis.core.responses.stepped_sine.sweeps`.
     """
-    from rig.core.system.structural_model import structural_model
-
     if rec.scene.reference == "table":
         raise RecordingError(
             "the structure is mounted on a shaker table, and no channel measures the force between them. Compare the "
@@ -143,7 +142,6 @@ def impact_energy_per_period(rec: Recording, sweep: Sweep) -> Array:
     impact acts on other dampers, in the same body or through a full mass matrix.
     """
     from rig.core.system.assembly import assemble
-    from rig.core.system.structural_model import structural_model
 
     if any(damper.grains is not None for damper in rec.scene.dampers) or assemble(rec.scene).impacts_interact:
         return np.full(len(sweep.lines.frequency), np.nan)

@@ -254,8 +254,6 @@ def _impact_models(
     pulse: Pulse | None,
     decimation: int,
 ) -> tuple[ImpactModel, ...]:
-    from daq.core.signal_chain.channel import ChannelInfo
-
     quantity, full_rate, gain, zeros, poles, average = response
     info = ChannelInfo(
         "", "", quantity, 1.0, full_rate, zeros=zeros, poles=poles, gain=gain, average=average,

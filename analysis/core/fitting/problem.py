@@ -43,8 +43,6 @@ OrbitState = tuple[NDArray[np.bool_], "list[StoredOrbit | None]", "list[StoredOr
 
 def _sweep_orbits(curves: Curves) -> SweepOrbits:
     # Imported only where dampers move: this import takes a tenth of the time of a fit without dampers.
-    from analysis.core.fitting.sweep_orbits import SweepOrbits
-
     return SweepOrbits(curves)
 
 

@@ -20,6 +20,7 @@ from rig.core.base.arrays import Array
 from rig.core.scene.excitation import ConstantResponse
 from rig.core.scene.excitation.kind import KindOfTest
 from rig.core.scene.scene import Scene
+from rig.core.system.structural_model import structural_model
 
 # First drive, relative to the force that moves the structure's mass by the level: a resonance needs little.
 _FIRST_FORCE_RATIO = 0.05
@@ -48,8 +49,6 @@ class HeldMotion(EnvelopeTone):
 
     def start(self, level: float) -> float:
         """Start the control of a level; return the first drive amplitude."""
-        from rig.core.system.structural_model import structural_model
-
         self._level = level
         self.forget_mode()
         mass = float(np.trace(structural_model(self.station.scene).mass))

@@ -37,6 +37,7 @@ from rig.core.results.text import format_decimals, format_frequencies
 from rig.core.scene.excitation import Continuation
 from rig.core.scene.excitation.kind import KindOfTest
 from rig.core.scene.scene import Scene
+from rig.core.system.structural_model import structural_model
 
 # Feedback starts where the product of |l| and dead time is below this fraction of its stability limit, and stops above
 # the limit.
@@ -461,8 +462,6 @@ class ContinuationProcedure(SteadyTonesProcedure["Continuation"]):
 
     def waits(self, test: Continuation, scene: Scene) -> float:
         """Return the expected time [s] of all points; their number follows from the linear modes in the band."""
-        from rig.core.system.structural_model import structural_model
-
         modes, count = structural_model(scene).modes, 1.0
         low, high = sorted((2.0 * math.pi * test.from_, 2.0 * math.pi * test.to))
         for omega, rate in zip(modes.omega, modes.decay_rate, strict=True):

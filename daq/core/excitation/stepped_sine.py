@@ -20,6 +20,7 @@ from rig.core.scene.excitation import Continuation, PhaseResonance, SteppedSine
 from rig.core.scene.excitation.kind import KindOfTest
 from rig.core.scene.excitation.stepped_sine import SteppedTest
 from rig.core.scene.scene import Scene
+from rig.core.system.structural_model import structural_model
 
 SteadyT = TypeVar("SteadyT", bound="SteppedTest | PhaseResonance | Continuation")
 StepsT = TypeVar("StepsT", bound="SteppedTest")
@@ -84,8 +85,6 @@ def excite(station: Station, test: SteppedTest, tone: SteadyTone) -> Generator[A
 
 def expected_wait(scene: Scene, longest: float) -> float:
     """Return the expected time from one measurement to the next [s] from the slowest mode; `longest`: limit [s]."""
-    from rig.core.system.structural_model import structural_model
-
     modes = structural_model(scene).modes
     longest_time_constant = float(1.0 / max(modes.decay_rate[modes.omega > 0.0].min(initial=np.inf), 1e-3))
     return _FIXED_WAIT_S + min(_STEP_TIME_CONSTANTS * longest_time_constant, longest)

@@ -19,7 +19,7 @@ from rig.core.engine.trajectory import Trajectory
 from rig.core.laws.events import CONTACT_EVENTS
 from rig.core.results import Result, complete_style
 from rig.core.results.ratio_names import frf_display, per_force, ratio_name
-from rig.core.results.response import Response
+from rig.core.results.response import Point, Response
 from rig.core.scene.loading import SceneLike, scene_of
 from rig.core.scene.scene import Scene
 from rig.core.settings.quantities import FREQUENCY, positive_values
@@ -157,8 +157,6 @@ def as_response(
     label: str = "computed",
 ) -> Response:
     """Create a `rig.Response` from the responses of bodies to a reference, (bodies, frequencies)."""
-    from rig.core.results.response import Point, Response
-
     return Response(
         frequency,
         np.ascontiguousarray(frf.T[:, :, None]),

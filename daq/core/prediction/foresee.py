@@ -162,11 +162,9 @@ def rehearse_test(
     plan, seconds = plan_rehearsal(scene, channels, cpu_seconds), affordable_seconds(scene, cpu_seconds)
     expected = expected_seconds(plan.parts[0][0], channels)
     parts = _rehearse_parts(plan, bench, _MAX_TIME_RATIO * max(seconds, expected))
-    test = scene.test
     if plan.is_complete and (parts[0].complete or parts[0].aborted is not None):
         return RehearsedTest(parts, True)
-    assert test is not None
-    procedure = procedure_of(test)
+    procedure = procedure_of(test_of(scene))
     if procedure.rehearsal == "peaks":
         if plan.is_complete:
             # The rehearsal took longer than expected. Therefore only the peaks of the test are rehearsed.
@@ -178,7 +176,7 @@ def rehearse_test(
     if parts[0].aborted is not None:
         # The test aborts in this part, so later parts are not reached.
         return RehearsedTest(parts, True)
-    extension = 1.0 if plan.is_complete else procedure.extension(test, parts[0].seconds)
+    extension = 1.0 if plan.is_complete else procedure.extension(test_of(scene), parts[0].seconds)
     return RehearsedTest(parts, False, f"{sum(part.seconds for part in parts):.3g} s of the test", extension)
 
 
@@ -369,11 +367,10 @@ class _Assessment:
 
     def _duration(self) -> _Duration:
         """Return the duration of the test."""
-        rehearsed_test, test = self.rehearsed_test, self.scene.test
+        rehearsed_test, test = self.rehearsed_test, test_of(self.scene)
         rehearsed_seconds = sum(part.seconds for part in rehearsed_test.parts)
         if rehearsed_test.is_complete or (rehearsed_test.aborted is not None and len(rehearsed_test.parts) == 1):
             return _Duration.within(rehearsed_seconds)
-        assert test is not None
         procedure = procedure_of(test)
         if procedure.rehearsal == "part":
             [part] = rehearsed_test.parts
@@ -420,8 +417,7 @@ class _Assessment:
         the test permits. The mean of the two is assumed. In scenes of the paper, 40 such tones took 37 s on average;
         the two limits were 10 and 60 s.
         """
-        assert self.scene.test is not None
-        longest = self.scene.test.steady_state.longest
+        longest = test_of(self.scene).steady_state.longest
         times = np.array([time for damper in part.impact_times for time in damper]) * self.bench.rate
         for settle, measure in zip(part.steps[::2], part.steps[1::2], strict=False):
             wait = (settle.stop - settle.first) / self.bench.rate

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.core.excitation import procedure_of
+from daq.core.excitation import procedure_of, test_of
 from daq.core.excitation.stepped_sine import expected_wait
 from daq.core.prediction.linear import channel_readings, test_frequencies
 from daq.core.signal_chain.channel import ChannelInfo
@@ -71,8 +71,7 @@ def plan_rehearsal(scene: Scene, channels: tuple[ChannelInfo, ...], cpu_seconds:
     `channels`: channels of the bench; `cpu_seconds`: a test of at most this CPU time is rehearsed completely.
     """
     # Affordable duration of the rehearsed parts [s].
-    test, seconds = scene.test, affordable_seconds(scene)
-    assert test is not None
+    test, seconds = test_of(scene), affordable_seconds(scene)
     procedure = procedure_of(test)
     seconds *= procedure.budget
     control_cpu_s = procedure.control_seconds(test) if scene.controlled_terms else 0.0
@@ -87,16 +86,14 @@ def plan_rehearsal(scene: Scene, channels: tuple[ChannelInfo, ...], cpu_seconds:
 
 def expected_seconds(scene: Scene, channels: Sequence[ChannelInfo]) -> float:
     """Return the expected duration of a test with its waits for sensors and steady states [s]."""
-    test = scene.test
-    assert test is not None
+    test = test_of(scene)
     procedure = procedure_of(test)
     return test.shortest + procedure.waits(test, scene) + procedure.power_on_wait(channels)
 
 
 def plan_about_peaks(scene: Scene, channels: tuple[ChannelInfo, ...], seconds: float) -> RehearsalPlan:
     """Plan groups of frequencies about the peaks at the highest level, each from rest, of `seconds` in total."""
-    test = scene.test
-    assert test is not None
+    test = test_of(scene)
     frequencies, direction = test_frequencies(test), test.sweep_direction
     settings, periods = _stepped_sine_settings(test, direction), procedure_of(test).periods_of_step(test)
     n_directions = 2 if direction == "both" else 1
@@ -174,8 +171,7 @@ def highest_level(scene: Scene) -> tuple[str, float, str]:
 
 def with_level(scene: Scene, level: float) -> Scene:
     """Return the scene with a different level of its test, in the unit of `highest_level`."""
-    assert scene.test is not None
-    return scene.replace(test=scene.test.at_level(level))
+    return scene.replace(test=test_of(scene).at_level(level))
 
 
 def _stepped_sine_settings(test: Test, direction: str) -> dict[str, Any]:

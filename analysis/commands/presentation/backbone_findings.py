@@ -7,18 +7,15 @@ from analysis.commands.presentation.figures_of_recordings import present_each
 from analysis.commands.presentation.outputs import CommandOutput
 from analysis.core.recordings.names import OpenRecordings, with_recordings
 from analysis.core.tracking.backbone import Backbone, backbone
-from analysis.core.tracking.body_motion import common_error_text, level_rows
+from analysis.core.tracking.body_motion import common_error_text
 from rig.core.base.figure_style import add_caption
 from rig.core.base.figure_types import Axes, Figure
-from rig.core.results.text import table_lines
 
 
 @with_recordings
 def present_backbone(recordings: OpenRecordings, paths: Sequence[Path], output: Path | None = None) -> CommandOutput:
     """Draw and tabulate each recording; `output`: folder, by default that of the recording."""
-    return present_each(
-        recordings, paths, output, "backbone", "Frequency against amplitude", backbone, _draw, level_lines
-    )
+    return present_each(recordings, paths, output, "backbone", "Frequency against amplitude", backbone, _draw)
 
 
 def _draw(result: Backbone, figure: Figure, axes: Axes) -> None:
@@ -28,11 +25,3 @@ def _draw(result: Backbone, figure: Figure, axes: Axes) -> None:
     add_caption(
         figure, "Numbers: level of each point. Dotted lines only join the points. Bars: 95 % intervals.", common
     )
-
-
-def level_lines(result: Backbone) -> list[str]:
-    """Return a table of the levels."""
-    points = result.level_points()
-    names = points[0].quantities
-    rows = [("level", *names, "remark"), *level_rows(points, names)]
-    return [f"  {line}" for line in table_lines(rows, ">" * (len(names) + 1) + "<")]

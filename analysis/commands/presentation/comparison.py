@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from itertools import product
+from itertools import groupby, product
 from math import isinf
 from pathlib import Path
 from typing import Any
@@ -44,7 +44,7 @@ from rig.core.base.progress import CountProgress
 from rig.core.results import format_decimals
 from rig.core.results.response import Response
 from rig.core.results.result import Result, complete_style
-from rig.core.results.text import table_lines
+from rig.core.results.table import Table, join_tables
 from rig.core.results.uncertainty import SENSITIVITY
 
 _HEADING = (
@@ -77,6 +77,13 @@ class Comparison(Result):
     changes: tuple[tuple[Response, Response, PeakChange], ...]
     lines: tuple[str, ...]
     warnings: tuple[str, ...]
+
+    def table(self) -> Table:
+        """Return the changes of each pair of sweeps, as `analysis compare` prints them."""
+        return join_tables(
+            (f"{first.label} → {other.label}", change_table([change for *_, change in group], first.shown_in))
+            for (first, other), group in groupby(self.changes, lambda each: each[:2])
+        )
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """Return one row for each peak, as in the table of `analysis compare`."""
@@ -158,17 +165,8 @@ def compare_peaks(
     )
 
 
-def change_heading(shown_in: tuple[str, float]) -> tuple[str, ...]:
-    """Return the heading of the rows of `change_rows`."""
-    unit = shown_in[0]
-    return (
-        "response", "mode / Hz", f"before {unit}", f"after {unit}", "change / dB", "95 % interval", "peak shift / Hz",
-        "95 % interval", "equivalent ζ / %",
-    )  # fmt: skip
-
-
-def change_rows(changes: Sequence[PeakChange], shown_in: tuple[str, float]) -> list[tuple[str, ...]]:
-    """Return the texts of each compared peak; `shown_in`: unit of the peaks, and the factor from SI to this unit."""
+def change_table(changes: Sequence[PeakChange], shown_in: tuple[str, float]) -> Table:
+    """Return a row for each compared peak; `shown_in`: unit of the peaks, and the factor from SI to this unit."""
     rows: list[tuple[str, ...]] = []
     for change in changes:
         before, after = change.height_texts(shown_in[1])
@@ -182,11 +180,15 @@ def change_rows(changes: Sequence[PeakChange], shown_in: tuple[str, float]) -> l
             *_format_change(change.shift, change.shift_decimals),
             f"{100 * change.equivalent_damping:.2g}" * is_bounded,
         ))  # fmt: skip
-    return rows
+    heading = (
+        "response", "mode / Hz", f"before / ({shown_in[0]})", f"after / ({shown_in[0]})", "change / dB",
+        "95 % interval / dB", "peak shift / Hz", "95 % interval / Hz", "equivalent ζ / %",
+    )  # fmt: skip
+    return Table(heading, "<>>>>>>>>", rows)
 
 
 def describe_changes(changes: Sequence[PeakChange], shown_in: tuple[str, float]) -> list[str]:
-    """Return a table of the compared peaks, and the ranges in which no peak is left; `shown_in`: see `change_rows`."""
+    """Return a table of the compared peaks, and the ranges in which no peak is left; `shown_in`: see `change_table`."""
     unit, factor = shown_in
     remarks = [
         f"{change.response}, mode at {format_decimals(change.mode, 2)} Hz: no peak is left between "
@@ -196,8 +198,7 @@ def describe_changes(changes: Sequence[PeakChange], shown_in: tuple[str, float])
         for change in changes
         if change.damped.at_end
     ]
-    rows = [change_heading(shown_in), *change_rows(changes, shown_in)]
-    return [*table_lines(rows, "<>>>>>>>>"), *remarks] if changes else []
+    return [*change_table(changes, shown_in).lines(), *remarks]
 
 
 def _format_change(value: tuple[float, float, float], digits: int) -> tuple[str, str]:

@@ -19,7 +19,6 @@ from rig.core.base.figure_types import Axes, Figure
 from rig.core.orbits.branches import follow_orbits
 from rig.core.orbits.orbit_curve import OrbitBranch
 from rig.core.results import format_number
-from rig.core.results.text import format_quantity, table_lines
 
 _EXACT_COLOR = "#777777"
 
@@ -87,21 +86,15 @@ def present_continuation(
 
 def fold_lines(result: AmplitudeCurve, exact: Sequence[ExactBranch]) -> list[str]:
     """Return a table of the folds with the nearest folds of the exact orbits, and the smallest resolved distance."""
-    rows: list[tuple[str, ...]] = [
-        ("level", "fold / Hz", f"amplitude of {result.body} / mm", "exact / Hz" if exact else "")
-    ]
+    nearest: list[str] = []
     for fold in result.folds:
         values = [value for each in exact if each.level == fold.level for value in each.branch.folds.tolist()]
-        nearest = f"{min(values, key=lambda value: abs(value - fold.frequency)):.5g}" if values else ""
-        level = f"{format_number(fold.level)} {result.unit}"
-        frequency = format_quantity(fold.frequency, fold.expanded, "").strip(" ()")
-        rows.append((level, frequency, f"{1e3 * fold.amplitude:.3g}", nearest))
+        nearest.append(f"{min(values, key=lambda value: abs(value - fold.frequency)):.5g}" if values else "")
     resolutions = {level: result.resolution(level) for level in dict.fromkeys(result.level.tolist())}
     widths = ", ".join(
         f"{resolution:.2g} Hz at {format_number(level)} {result.unit}"
         for level, resolution in resolutions.items()
         if np.isfinite(resolution)
     )
-    table = table_lines(rows, ">>>>") if result.folds else []
-    limits = [f"Steps do not resolve folds closer than {widths}."] if widths else []
-    return [f"  {line}" for line in [*table, *limits]]
+    limits = [f"  Steps do not resolve folds closer than {widths}."] if widths else []
+    return [*result.table(nearest).lines("  "), *limits]

@@ -14,7 +14,6 @@ from analysis.commands.presentation.outputs import (
     with_recording_name,
 )
 from analysis.core.decays.free_decay import INITIAL_DECAY_DB, Decay, decay
-from analysis.core.decays.modal_decay import ModalDecay
 from analysis.core.recordings.names import (
     OpenRecordings,
     baseline_label,
@@ -24,16 +23,6 @@ from analysis.core.recordings.names import (
     with_recordings,
 )
 from rig.core.base.palette import location_styles, recording_styles
-from rig.core.results.text import format_interval, format_limited, table_lines
-from rig.core.results.uncertainty import expand
-
-#: Heading of the rows of `decay_rows`.
-DECAY_HEADING = (
-    "natural frequency / Hz", "initial damping ratio / %", "at / (m/s²)", "final damping ratio / %", "at / (m/s²)",
-    "noise / (m/s²)",
-)  # fmt: skip
-# Cells of a mode without a damping ratio: its decay is too short, or too small relative to the noise.
-_UNKNOWN_DAMPING = ("too short or too noisy", "-")
 
 
 @with_recordings
@@ -97,26 +86,7 @@ def describe_decay(decay: Decay) -> list[str]:
         if np.isnan(time_of_6_db)
         else f"falls by 6 dB in {time_of_6_db:.3g} s (slope from -1 to -11 dB)"
     )
-    table = table_lines([DECAY_HEADING, *decay_rows(decay)], ">>>>>>") if decay.modes else []
     return [
         f"{decay.label}, {decay.channel}: acceleration {below_text}; backward-integrated energy {energy_text}",
-        *(f"  {line}" for line in table),
+        *decay.table().lines("  "),
     ]
-
-
-def decay_rows(decay: Decay) -> list[tuple[str, ...]]:
-    """Return a row for each mode: frequency, damping ratio at the largest and smallest amplitude, and noise."""
-    rows: list[tuple[str, ...]] = []
-    for mode in decay.modes:
-        frequency = f"{mode.center:.4g}"
-        if np.isfinite(mode.frequency):
-            frequency = format_interval(mode.frequency, float(expand(mode.frequency_std)))
-        ends = [_damping_at(mode, index) for index in (0, -1)] if mode.damping.size else [_UNKNOWN_DAMPING] * 2
-        rows.append((frequency, *ends[0], *ends[1], f"{mode.noise:.1g}"))
-    return rows
-
-
-def _damping_at(mode: ModalDecay, index: int) -> tuple[str, str]:
-    """Format the damping ratio [%] with its expanded uncertainty, and the amplitude [m/s²] of its estimate."""
-    percent, expanded = mode.percent
-    return format_limited(percent[index], expanded[index]), f"{mode.amplitude[index]:.3g}"

@@ -23,12 +23,12 @@ def present_each(
     title: str,
     evaluate: Callable[[Recording], R],
     draw: Callable[[R, Figure, Axes], None],
-    table: Callable[[R], list[str]],
+    describe: Callable[[R], list[str]] = lambda result: result.table().lines("  "),
 ) -> CommandOutput:
     """Write figure and columns of each recording's result; `output`: folder, by default that of the recording.
 
     `kind`: ending of the file names; `title`: title of the figure; `draw`: function that draws a result, with scales
-    and captions; `table`: function that returns the lines printed after the summary.
+    and captions; `describe`: function that returns the lines printed after the summary.
     """
     stems = separate_stems(paths, output, kind)
     check_outputs(paths, *(with_ending(stem, ending) for stem in stems for ending in ("png", "svg", "csv")))
@@ -44,5 +44,5 @@ def present_each(
             files += save_figure(figure, stem)
         columns = result.columns()
         files.append(write_table(with_ending(stem, "csv"), list(columns), zip(*columns.values(), strict=True)))
-        lines += [result.summary(), *table(result)]
+        lines += [result.summary(), *describe(result)]
     return CommandOutput(tuple(files), tuple(lines), ())

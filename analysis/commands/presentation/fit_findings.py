@@ -6,12 +6,13 @@ from math import isnan
 from pathlib import Path
 
 from analysis.commands.figures.fit_figure import fit_figure
-from analysis.core.fitting.fit import STATUS_TEXTS, Fit, fit
+from analysis.core.fitting.fit import Fit, fit
 from rig.core.base.console import show_activity
 from rig.core.base.errors import RunError, SceneError
 from rig.core.base.figure_style import save_figure
 from rig.core.base.output_files import allow_overwriting, atomic_write, prepare_outputs
-from rig.core.results.text import format_interval, format_number, table_lines
+from rig.core.results.table import Table
+from rig.core.results.text import format_interval
 from rig.core.scene.scene import Scene
 
 
@@ -52,13 +53,6 @@ def present_fit(
 
 def describe(result: Fit) -> list[str]:
     """Return the printed lines: fitted values, sensors, modes and residuals, with 95 % intervals."""
-    values = [("value", "fitted", "unit", "initial", "status")]
-    for parameter in result.parameters:
-        value = f"{parameter.value:.6g}"
-        if parameter.status != "undetermined":
-            value = format_interval(parameter.value, parameter.half_width * abs(parameter.value))
-        status = STATUS_TEXTS.get(parameter.status, parameter.status)
-        values.append((parameter.key, value, parameter.unit, format_number(parameter.start), status))
     sensors = [("sensor", "sensitivity deviation / %")] + [
         (name, format_interval(100 * deviation, 100 * bound))
         for name, (deviation, bound) in result.sensitivities.items()
@@ -83,9 +77,8 @@ def describe(result: Fit) -> list[str]:
     residuals = [("sweep", "residual / % of the curves, rms")] + [
         (comparison.curves.label, f"{100 * comparison.relative:.2g}") for comparison in result.compared
     ]
-    tables = ((values, "<><><"), (sensors, "<>"), (modes, "<>>"), (levels, "<<>>"), (residuals, "<>"))
-    lines = [f"{result.summary()} (95 % intervals)"]
-    for rows, alignment in tables:
-        if len(rows) > 1:
-            lines += [f"  {line}" for line in table_lines(rows, alignment)]
+    tables = ((sensors, "<>"), (modes, "<>>"), (levels, "<<>>"), (residuals, "<>"))
+    lines = [f"{result.summary()} (95 % intervals)", *result.table().lines("  ")]
+    for (heading, *rows), alignment in tables:
+        lines += Table(heading, alignment, rows).lines("  ")
     return lines + [f"  {line}" for line in result.together]

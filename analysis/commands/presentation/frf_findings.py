@@ -37,10 +37,10 @@ from analysis.extras.formats.frf_files import is_frf_file
 from daq.core.recording.recording import Recording
 from rig.core.base.palette import recording_styles
 from rig.core.base.progress import CountProgress
-from rig.core.results import format_interval, format_percent
+from rig.core.results import format_percent
 from rig.core.results.resonances import MIN_LINES, Resonance
 from rig.core.results.response import MOTIONS, Response
-from rig.core.results.text import table_lines
+from rig.core.results.table import join_tables
 from rig.core.results.uncertainty import SENSITIVITY, SYSTEMATIC
 from rig.core.scene.presets import preset_note
 
@@ -129,24 +129,13 @@ def describe_frfs(curves: Sequence[Response]) -> list[str]:
 
     for title, group in groupby(curves, heading):
         frfs = list(group)
-        unit, factor = frfs[0].shown_in
-        rows = [("response", f"highest / ({unit})", "at / Hz", "force / N", "largest uncertainty")]
         remarks: dict[str, list[str]] = {}
-        for frf in frfs:
-            if not np.isfinite(frf.value).any():
-                rows.append((frf.response, "no value", "", "", ""))
-                continue
-            peak_index = frf.peak_line()
-            height, bound = factor * float(abs(frf.value[peak_index])), factor * float(frf.expanded()[peak_index])
-            force = "" if frf.amplitude is None or frf.reference != "force" else f"{frf.amplitude[peak_index]:.4g}"
-            cause = frf.largest_contributions()[peak_index] if bound > 0.0 else ""
-            rows.append(
-                (frf.response, format_interval(height, bound), f"{frf.frequency[peak_index]:.4g}", force, cause)
-            )
+        for frf in (frf for frf in frfs if np.isfinite(frf.value).any()):
             for text in (*frf.uncertain_peak(), *_peaks_between_points(frf)):
                 remarks.setdefault(text, []).append(frf.response)
         notes = [f"{', '.join(names)}: {text}" for text, names in remarks.items()]
-        lines += [title, *(f"  {line}" for line in (*table_lines(rows, "<>>><"), *notes))]
+        table = join_tables(("", frf.table()) for frf in frfs)
+        lines += [title, *table.lines("  "), *(f"  {note}" for note in notes)]
     return lines
 
 

@@ -31,9 +31,8 @@ from analysis.extras.formats.frf_files import is_frf_file
 from daq.core.recording.recording import Recording
 from rig.core.base.output_files import prepare_outputs
 from rig.core.base.progress import CountProgress
-from rig.core.results import format_interval
 from rig.core.results.response import Response
-from rig.core.results.text import table_lines
+from rig.core.results.table import Table
 from rig.core.results.uncertainty import expand
 
 #: Two mode shapes with at least this modal assurance criterion (MAC) are usually considered the same.
@@ -146,19 +145,12 @@ def _sweeps(
 def describe_modes(modes: Modes, theory: TheoreticalModes | None = None) -> list[str]:
     """Return a table of natural frequency, damping ratio, shape, and MAC with the scene (`theory`) of each mode."""
     count = modes.frequency.size
-    bodies = modes.of_bodies()
-    rows = [("frequency / Hz", "damping ratio / %", "MAC with scene", *(f"at {name}" for name in bodies.names))]
-    mac_texts = [""] * count if theory is None else [f"{mac_value:.4f}" for mac_value in nearest_mac(modes, theory)]
-    for i in range(count):
-        elements = zip(bodies.shapes[:, i].real, expand(bodies.errors[:, i]), strict=True)
-        rows.append((*modes.cells(i), mac_texts[i], *(format_interval(*element) for element in elements)))
+    mac_texts = [] if theory is None else [f"{mac_value:.4f}" for mac_value in nearest_mac(modes, theory)]
     reference = f", {modes.input}" if modes.input else ""
     heading = f"{modes.label}{reference}: {count} mode{'s' * (count != 1)}{modes.uncertain_count_text()}"
-    lines = table_lines(rows, ">" * len(rows[0])) if count else []
-    uncertain = [(*each.cells(), each.reason) for each in modes.uncertain]
-    if uncertain:
-        lines += table_lines([("uncertain mode / Hz", "damping ratio / %", "reason"), *uncertain], ">><")
-    return [heading, *(f"  {line}" for line in lines)]
+    rows = [(*each.cells(), each.reason) for each in modes.uncertain]
+    uncertain = Table(("uncertain mode / Hz", "damping ratio / %", "reason"), ">><", rows)
+    return [heading, *modes.table(mac_texts).lines("  "), *uncertain.lines("  ")]
 
 
 def _has_near_frequency(modes: Modes, theory: TheoreticalModes) -> bool:

@@ -9,7 +9,6 @@ from analysis.core.recordings.names import OpenRecordings, with_recordings
 from analysis.core.signals.profile_check import ProfileCheck, profile
 from rig.core.base.figure_style import add_legend_below, frequency_axis, log_axis
 from rig.core.base.figure_types import Axes, Figure
-from rig.core.results.text import table_lines
 
 
 @with_recordings
@@ -34,9 +33,5 @@ def _draw(result: ProfileCheck, figure: Figure, axes: Axes) -> None:
 
 def channel_lines(check: ProfileCheck) -> list[str]:
     """Return a table of the channels, and a line for each notched band."""
-    rows = [("channel", "rms / (m/s²)" if check.is_density else "rms of readings", "kurtosis")]
-    rows += [
-        (level.channel, f"{level.rms:.4g}", f"{level.kurtosis:.2f}") for level in (*check.channels, *check.limited)
-    ]
     notches = [f"  {name} limits the drive from {low:.4g} to {high:.4g} Hz" for name, low, high in check.notches()]
-    return [*(f"  {line}" for line in table_lines(rows, "<>>")), *notches, *(f"  {text}" for text in check.warnings)]
+    return [*check.table().lines("  "), *notches, *(f"  {text}" for text in check.warnings)]

@@ -12,10 +12,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from analysis.commands.report_page.tables import typeset
 from rig.core.base.arrays import Array
 from rig.core.base.escaping import escape_html
 from rig.core.base.palette import CurveStyle, body_style
+from rig.core.results.table import typeset
 
 # A frequency axis is logarithmic if the ratio of its highest to its lowest frequency exceeds this value.
 _MIN_LOGARITHMIC_RATIO = 3.0

@@ -4,11 +4,11 @@ from collections.abc import Iterator, Sequence
 from math import isfinite
 
 from analysis.commands.figures.modes_figure import is_known_shape
-from analysis.commands.report_page.tables import typeset
 from analysis.core.modal.modes import BodyShapes
 from rig.core.base.escaping import escape_html
 from rig.core.base.palette import DAMPER, HAMMER, TABLE, location_style, location_styles
 from rig.core.results import format_number
+from rig.core.results.table import typeset
 from rig.core.results.uncertainty import expand
 from rig.core.scene.joint import Joint
 from rig.core.scene.scene import Scene

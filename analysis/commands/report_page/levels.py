@@ -9,13 +9,13 @@ import scipy
 from analysis.commands.figures.frf_figure import intervals_text
 from analysis.commands.figures.peak_marks import MODE_SHIFT
 from analysis.commands.report_page.measurements import Measurement, SweepResults, missing_tolerances
-from analysis.commands.report_page.tables import table
 from analysis.core.damper_motion.dampers import Dampers
 from analysis.core.modal.mode_warnings import extrapolates_damping
 from analysis.core.recordings.names import sweep_name, without_common_direction
-from analysis.core.tracking.body_motion import LevelPoint, level_rows, quantity_ranges
+from analysis.core.tracking.body_motion import LevelPoint, quantity_ranges, table_of_levels
 from rig.core.results import format_decimals, format_limited, format_number
 from rig.core.results.response import Response
+from rig.core.results.table import join_tables
 from rig.core.results.uncertainty import expand
 
 # Smallest stated uncertainty of an amplitude and of a share of energy, relative: no sensor is more accurate.
@@ -75,11 +75,11 @@ def level_table(measurements: Sequence[Measurement]) -> str:
     tests = {measurement.label: level_points(measurement) for measurement in measurements}
     points = [point for groups in tests.values() for group in groups.values() for point in group]
     keys = list(dict.fromkeys(key for point in points for key in point.quantities))
-    rows: list[tuple[str, ...]] = []
-    for label, groups in tests.items():
-        for title, group in groups.items():
-            rows += [(", ".join(filter(None, (label, title))),)] if len(measurements) > 1 or title else []
-            rows += level_rows(group, keys)
+    tables = [
+        (", ".join(filter(None, (label, title))) * (len(measurements) > 1 or bool(title)), table_of_levels(group, keys))
+        for label, groups in tests.items()
+        for title, group in groups.items()
+    ]
     caption = f"Results at each level, with {intervals_text(missing_tolerances(measurements))}"
     if "phase deviation / °" in keys:
         caption += ". " + _MODE_CAPTION.format("phase resonance", "")
@@ -87,7 +87,7 @@ def level_table(measurements: Sequence[Measurement]) -> str:
         caption += ". " + _MODE_CAPTION.format(
             "the highest measured point", ", and by up to the distance of the measured frequencies"
         )
-    return table(caption, ["level", *keys, "remark"], rows) if rows else ""
+    return join_tables(tables).html(caption)
 
 
 def _bands(frequencies: Sequence[float]) -> list[tuple[float, float]]:

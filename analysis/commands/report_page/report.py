@@ -32,7 +32,6 @@ from analysis.commands.report_page.tables import (
     resonances,
     settings,
     test_sentence,
-    typeset,
 )
 from analysis.core.recordings.names import line_spacing
 from daq.core.recording.recorded_test import own_analyses
@@ -40,6 +39,7 @@ from rig.core.base.errors import SceneError
 from rig.core.base.escaping import escape_html
 from rig.core.base.output_files import atomic_write
 from rig.core.base.progress import CountProgress
+from rig.core.results.table import typeset
 
 # The change of a peak is emphasized in a result.
 _CHANGE = re.compile(r"(?:reduction|increase)[^(;,]* dB")

@@ -2,83 +2,33 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from itertools import groupby
 from math import isfinite
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from analysis.commands.figures.frf_figure import includes_sensors, intervals_text
+from analysis.commands.figures.frf_figure import intervals_text
 from analysis.commands.figures.peak_marks import MODE_SHIFT
-from analysis.commands.presentation.comparison import change_heading, change_rows
-from analysis.commands.presentation.decay_findings import DECAY_HEADING, decay_rows
+from analysis.commands.presentation.comparison import change_table
 from analysis.commands.presentation.mode_findings import MIN_SAME_SHAPE_MAC
 from analysis.commands.report_page.measurements import Measurement, SweepChange, missing_tolerances
 from analysis.core.damper_motion.comparison import Peak, PeakChange
 from analysis.core.modal.modes import Modes, mac
 from analysis.core.responses.errors.systematic import tolerance
 from rig.core.base.escaping import escape_html
-from rig.core.results import format_decimals, format_interval, format_number, format_percent
+from rig.core.results import format_decimals, format_number, format_percent
 from rig.core.results.response import Response
+from rig.core.results.table import Table, join_tables, typeset
 
 if TYPE_CHECKING:
     from daq.core.recording.recording import Recording
     from rig.core.scene.damper import Damper
     from rig.core.scene.scene import Scene
 
-# A hyphen that is a minus sign.
-_HYPHEN = re.compile(r"(?<![\w.-])-(?=\d)")
-# Spaces at which a line must not break, such as that between number and unit.
-_NO_BREAK = re.compile(
-    r"(?<=[\d)]) (?=(?:%|[kM]?Hz|[kmµ]?N|dB|g|kg|m?s|[mµ]?m|m?V|µm/N|m/s²|k?N/m|mm/s)(?![\w/]))| (?=±)|(?<=±) "
-    r"|(?<=\d) (?=→)|(?<=→) (?=\d)|(?<=Δf) |(?<=\d) (?=to [+\u2212]?\d)"
-    r"|(?<=\d to) (?=[+\u2212]?\d)|(?<=least) (?=\d)|(?<=at) (?=least)|(?<=≥) "
-    r"|(?<=\bat) (?=\d)|(?<=ζ) (?==)|(?<=ζ =) | (?=at [\d.]+ \w+(?: →|$))|(?<=\bbody) (?=\d)"
-)
-_CODE = re.compile("`([^`]+)`")
 # Maximum number of overloads or gaps that are listed individually; a longer list would hide the other rows.
 _MAX_LISTED = 5
-# Smaller contributions to a combined uncertainty, relative to it, are listed as an upper limit.
-_NEGLIGIBLE_RATIO = 1e-3
-
-
-def typeset(text: str) -> str:
-    """Return text as HTML, with minus signs and without line breaks between numbers and their units.
-
-    >>> typeset("-0.5 Hz (<1 ± 2 %), a-1").replace(chr(160), "_")
-    '−0.5_Hz (&lt;1_±_2_%), a-1'
-    """
-    return _CODE.sub(r"<code>\1</code>", escape_html(_NO_BREAK.sub("\u00a0", _HYPHEN.sub("\u2212", text))))
-
-
-def table(caption: str, heading: Sequence[str], rows: Iterable[Sequence[str]], numbers: int = 0) -> str:
-    """Return an HTML table.
-
-    A row with one cell is a subheading. The last `numbers` columns are aligned to the right. Columns without content
-    are omitted.
-    """
-    rows, full = list(rows), heading
-    filled = [k for k in range(len(full)) if any(len(row) > 1 and row[k] for row in rows)]
-    heading = [full[k].replace(" / ", " /\u00a0") for k in filled]
-    numbers = sum(k >= len(full) - numbers for k in filled)
-    align = ["" if k < len(heading) - numbers else ' class="number"' for k in range(len(heading))]
-    head = "".join(f"<th{a}>{typeset(text)}</th>" for a, text in zip(align, heading, strict=True))
-    # Cells name their column, so that programs find them in the page.
-    align = [f'{a} data-label="{typeset(text)}"' for a, text in zip(align, heading, strict=True)]
-    body = ""
-    for row in rows:
-        if len(row) == 1:
-            body += f'<tr><th class="group" colspan="{len(heading)}">{typeset(row[0])}</th></tr>'
-            continue
-        cells = "".join(f"<td{a}>{typeset(row[k])}</td>" for a, k in zip(align, filled, strict=True))
-        body += f"<tr>{cells}</tr>"
-    kind = "" if heading[0] else ' class="matrix"'
-    return (
-        f'<div class="wide"><table{kind}><caption>{typeset(caption)}</caption>'
-        f"<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>"
-    )
 
 
 def resonances(measurements: Sequence[Measurement], baseline: Measurement) -> str:
@@ -109,29 +59,19 @@ def resonances(measurements: Sequence[Measurement], baseline: Measurement) -> st
         ]
     found = (peak for measurement in measurements for sweep in measurement.sweeps for peak in sweep.peaks)
     units = " or ".join(dict.fromkeys(peak[0].shown_in[0] for peak in found if peak is not None)) or "µm/N"
-    heading = ["response with the highest peak", "natural frequency / Hz", "damping ratio / %", f"peak / ({units})"]
-    return (
-        table(f"Resonances, with {intervals_text(missing_tolerances(measurements))}", heading, rows, numbers=3)
-        if rows
-        else ""
-    )
+    heading = ("response with the highest peak", "natural frequency / Hz", "damping ratio / %", f"peak / ({units})")
+    return Table(heading, "<>>>", rows).html(f"Resonances, with {intervals_text(missing_tolerances(measurements))}")
 
 
 def changes_table(changes: Sequence[SweepChange]) -> str:
     """Return the table that `analysis compare` prints, with the changes of each pair of sweeps, as HTML."""
-    rows: list[tuple[str, ...]] = []
-    for (baseline, compared), group in groupby(changes, lambda change: (change.baseline, change.compared)):
-        cells = change_rows([each.change for each in group], changes[0].shown_in)
-        rows.append((f"{baseline} → {compared}",))
-        rows += [tuple(cell.replace(" (extrapolated)", "*") or "–" for cell in row) for row in cells]
-    if not rows:
-        return ""
-    unit = changes[0].shown_in[0]
-    heading = [text.replace(f" {unit}", f" / ({unit})") for text in change_heading(changes[0].shown_in)]
-    heading[5], heading[7] = f"{heading[5]} / dB", f"{heading[7]} / Hz"
-    caption = "Changes of the resonance peaks. Equivalent ζ: damping ratio of a linear mode with the changed peak"
-    marked = ". *: extrapolated, more than 3 dB above the points on either side" * ("*" in str(rows))
-    return table(caption + marked, heading, rows, numbers=len(heading) - 1)
+    joined = join_tables(
+        (" → ".join(labels), change_table([each.change for each in group], changes[0].shown_in))
+        for labels, group in groupby(changes, lambda change: (change.baseline, change.compared))
+    )
+    return joined.html(
+        "Changes of the resonance peaks. Equivalent ζ: damping ratio of a linear mode with the changed peak"
+    )
 
 
 def change_text(change: PeakChange) -> str:
@@ -166,21 +106,20 @@ def mac_table(before: Modes, after: Modes) -> str:
     heading = ["", *(f"{frequency:.2f} Hz" for frequency in after.frequency)]
     pair = before.label if before is after else f"{before.label} (rows) and {after.label} (columns)"
     caption = f"Modal assurance criterion (MAC; equal shapes above about {MIN_SAME_SHAPE_MAC:g}): {pair}"
-    return table(caption, heading, rows, numbers=len(after.frequency))
+    return Table(heading, "<" + ">" * len(after.frequency), rows).html(caption)
 
 
 def decays(measurements: Sequence[Measurement]) -> str:
     """Return the tables of free decays that `analysis decay` prints as one table, as HTML."""
-    rows: list[tuple[str, ...]] = []
-    for measurement in measurements:
-        if measurement.decay is not None:
-            rows += [(f"{measurement.label}, {measurement.decay.channel}",), *decay_rows(measurement.decay)]
+    tables = [
+        (f"{each.label}, {each.decay.channel}", each.decay.table()) for each in measurements if each.decay is not None
+    ]
     caption = (
         "Free decay of each mode, with 95 % intervals. The frequency is that at the best determined amplitude. "
         "Resting dampers add mass and lower the frequency; dampers in flight do not. The frequency therefore depends "
         "on amplitude and differs from the resonance frequency of the response"
     )
-    return table(caption, DECAY_HEADING, rows, numbers=5) if rows else ""
+    return join_tables(tables).html(caption)
 
 
 def budget(curve: Response, highest: Peak) -> str:
@@ -189,27 +128,7 @@ def budget(curve: Response, highest: Peak) -> str:
     if curve.expanded()[point] > abs(curve.value[point]):
         point = curve.peak_line()
     result = curve.budget(curve.response, float(curve.frequency[point]))
-    factor = result.expanded / result.combined if result.combined else 2.0
-    least = float(f"{_NEGLIGIBLE_RATIO * result.combined:.1g}") if isfinite(result.combined) else 0.0
-    rows = [
-        (
-            name, evaluation, f"< {least:g}" if standard < least else format_number(float(f"{standard:.2g}")),
-            f"{100 * share:.0f} %" if isfinite(share) else "–",
-        )
-        for name, evaluation, standard, share in result.rows
-    ]  # fmt: skip
-    return table(
-        f"Uncertainty budget of {curve.label}, {result.title}: {format_interval(result.value, result.expanded)} "
-        f"{result.unit} (95 %)",
-        ["contribution", "type (GUM)", f"standard uncertainty / ({result.unit})", "share of the variance"],
-        [
-            *rows,
-            *([] if includes_sensors([curve]) else [("sensors' sensitivity", "B", "not included", "–")]),
-            ("combined, u", "", format_number(float(f"{result.combined:.2g}")), ""),
-            (f"expanded, U = k u, k = {factor:.2f}", "", format_number(float(f"{result.expanded:.2g}")), ""),
-        ],
-        numbers=2,
-    )
+    return result.table().html(f"Uncertainty budget of {curve.label}, {result.heading}")
 
 
 def test_sentence(scene: Scene) -> str:
@@ -257,7 +176,7 @@ def settings(measurement: Measurement) -> str:
     heading = ["channel", "at", "quantity", "sensitivity", "tolerance", "range", f"gain at {middle:.3g} Hz"]
     return (
         f'<details><summary>Settings and channels</summary><div class="settings"><table>{facts_html}</table>'
-        f"{table('Channels', heading, channels)}</div></details>"
+        f"{Table(heading, '<' * len(heading), channels).html('Channels')}</div></details>"
         f"<details><summary>Scene file</summary><pre>{escape_html(scene.to_yaml())}</pre></details>"
     )
 

@@ -25,6 +25,7 @@ from rig.core.base.errors import RecordingError, SceneError
 from rig.core.base.figure_types import Axes
 from rig.core.base.renamed import renamed, renamed_parameter
 from rig.core.results import Result, complete_style, format_percent
+from rig.core.results.table import Table
 from rig.core.scene.scene import STANDARD_GRAVITY
 from rig.core.system.structural_model import structural_model
 
@@ -101,6 +102,14 @@ class Decay(Result):
         modes = [f"{m.frequency_text()} ({100 * m.damping[0]:.3g} %)" for m in self.modes if m.damping.size]
         largest = float(abs(self.acceleration).max())
         return f"{self.label}, {self.channel} after impact {self.impact}: from {largest:.3g} m/s²; {', '.join(modes)}"
+
+    def table(self) -> Table:
+        """Return for each mode: frequency, damping ratio at the largest and smallest amplitude, and noise."""
+        heading = (
+            "natural frequency / Hz", "initial damping ratio / %", "at / (m/s²)", "final damping ratio / %",
+            "at / (m/s²)", "noise / (m/s²)",
+        )  # fmt: skip
+        return Table(heading, ">>>>>>", [mode.cells() for mode in self.modes])
 
     def columns(self) -> dict[str, Array]:
         """Return time, acceleration, envelope and backward-integrated energy."""

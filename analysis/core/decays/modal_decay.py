@@ -10,7 +10,7 @@ from scipy import fft
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.figure_types import Axes
 from rig.core.base.renamed import renamed
-from rig.core.results import Result, complete_style, format_quantity
+from rig.core.results import Result, complete_style, format_interval, format_limited, format_quantity
 from rig.core.results.uncertainty import expand
 
 # Largest relative difference of two spectral peaks of one mode: dampers shift a frequency during the decay.
@@ -90,6 +90,20 @@ class ModalDecay(Result):
     def percent(self) -> tuple[Array, Array]:
         """Damping ratio at each amplitude and its expanded uncertainty [%]."""
         return 100.0 * self.damping, 100.0 * expand(self.damping_std)
+
+    def cells(self) -> tuple[str, ...]:
+        """Write frequency, damping ratio at the largest and smallest amplitude, and noise, for a table."""
+        frequency = f"{self.center:.4g}"
+        if np.isfinite(self.frequency):
+            frequency = format_interval(self.frequency, float(expand(self.frequency_std)))
+        percent, expanded = self.percent
+        ends = [
+            (format_limited(percent[k], expanded[k]), f"{self.amplitude[k]:.3g}")
+            if self.damping.size
+            else ("too short or too noisy", "-")
+            for k in (0, -1)
+        ]
+        return frequency, *ends[0], *ends[1], f"{self.noise:.1g}"
 
     def frequency_text(self) -> str:
         """Format the natural frequency with its expanded uncertainty."""

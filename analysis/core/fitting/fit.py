@@ -22,7 +22,8 @@ from rig.core.base.figure_types import Axes
 from rig.core.base.input_files import duplicate_files
 from rig.core.base.renamed import renamed
 from rig.core.numerics.blas_threads import with_one_blas_thread
-from rig.core.results import Result, complete_style, format_number, format_percent
+from rig.core.results import Result, complete_style, format_interval, format_number, format_percent
+from rig.core.results.table import Table
 from rig.core.scene.loading import SceneLike, scene_of
 from rig.core.scene.scene import Scene
 from rig.core.system.structural_model import structural_model
@@ -154,6 +155,17 @@ class Fit(Result):
             f"{statuses.count(status)} {STATUS_TEXTS.get(status, status)}" for status in dict.fromkeys(statuses)
         )
         return f"{self.scene.name}: {'does not fit; ' if self.misfit else ''}{counts}"
+
+    def table(self) -> Table:
+        """Return the fitted values with their 95 % intervals."""
+        rows = []
+        for each in self.parameters:
+            value = f"{each.value:.6g}"
+            if each.status != "undetermined":
+                value = format_interval(each.value, each.half_width * abs(each.value))
+            status = STATUS_TEXTS.get(each.status, each.status)
+            rows.append((each.key, value, each.unit, format_number(each.start), status))
+        return Table(("value", "fitted", "unit", "initial", "status"), "<><><", rows)
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """Return each value with its initial value and 95 % interval."""

@@ -18,6 +18,7 @@ from rig.core.base.figure_types import Axes
 from rig.core.base.renamed import renamed
 from rig.core.results import Result, complete_style, format_interval, format_percent, format_quantity
 from rig.core.results.response import Response
+from rig.core.results.table import Table
 from rig.core.results.uncertainty import expand
 
 # A damping ratio is determined if its relative standard uncertainty is at most a third: the ratio then differs from
@@ -163,6 +164,17 @@ class Modes(Result):
     def cells(self, mode: int) -> tuple[str, str]:
         """Write natural frequency [Hz] and damping ratio, %, without their units, for a table."""
         return _cells(self.frequency[mode], self.frequency_std[mode], self.damping_text(mode))
+
+    def table(self, mac_texts: Sequence[str] = ()) -> Table:
+        """Return frequency, damping ratio and shape of each mode; `mac_texts`: similarity with shapes of the scene."""
+        bodies = self.of_bodies()
+        shapes = zip(bodies.shapes.T.real, expand(bodies.errors).T, strict=True)
+        rows = [
+            (*self.cells(k), mac_text, *map(format_interval, *shape))
+            for k, (mac_text, shape) in enumerate(zip(mac_texts or [""] * self.frequency.size, shapes, strict=True))
+        ]
+        heading = ("frequency / Hz", "damping ratio / %", "MAC with scene", *(f"at {name}" for name in bodies.names))
+        return Table(heading, ">" * len(heading), rows)
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """Return frequency, damping ratio, and the shape at each response, with standard uncertainties."""

@@ -25,6 +25,7 @@ from rig.core.base.palette import BASELINE, CurveStyle, location_styles
 from rig.core.base.renamed import renamed
 from rig.core.numerics.runs import runs_of
 from rig.core.results import Result, complete_style, format_frequencies
+from rig.core.results.table import Table
 from rig.core.scene.excitation.kind import Chirp
 from rig.core.scene.excitation.profile import limits_drive
 from rig.core.scene.excitation.profile_control import ProfileControl
@@ -200,6 +201,12 @@ class ProfileCheck(Result):
         if self.deviation[worst] >= _SMALLEST_EXCESS_DB:
             parts.append(f"highest {self.deviation[worst]:+.1f} dB at {self.frequency[worst]:.4g} Hz")
         return f"{self.label}: {'; '.join(parts)}"
+
+    def table(self) -> Table:
+        """Return rms and kurtosis of each channel."""
+        heading = ("channel", "rms / (m/s²)" if self.is_density else "rms of readings", "kurtosis")
+        levels = (*self.channels, *self.limited)
+        return Table(heading, "<>>", [(each.channel, f"{each.rms:.4g}", f"{each.kurtosis:.2f}") for each in levels])
 
     def columns(self) -> Mapping[str, Array]:
         """Return frequency, profile, control, and values, interval and limit of each channel."""

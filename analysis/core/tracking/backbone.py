@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from analysis.core.recordings.names import takes_path
 from analysis.core.responses.frequency_responses import frequency_responses
 from analysis.core.responses.measurands import reference_of
-from analysis.core.tracking.body_motion import CurvePart, LevelPoint, body_motion, quantity_ranges
+from analysis.core.tracking.body_motion import CurvePart, LevelPoint, body_motion, quantity_ranges, table_of_levels
 from daq.core.recording.recorded_test import HELD_PHASE
 from daq.core.recording.recording import Recording
 from rig.core.base.arrays import Array, ComplexArray
@@ -29,6 +29,7 @@ from rig.core.base.figure_types import Axes
 from rig.core.base.palette import location_styles
 from rig.core.base.renamed import renamed
 from rig.core.results import Result, complete_style, format_limited, format_number
+from rig.core.results.table import Table
 from rig.core.results.uncertainty import SENSITIVITY
 from rig.core.system.structural_model import structural_model
 
@@ -132,6 +133,11 @@ class Backbone(Result):
         """Return frequency, amplitude and level of each point."""
         texts = [f"{format_number(level)} {self.unit}" for level in self.level]
         return [*zip(self.frequency.tolist(), self.amplitude.tolist(), texts, strict=True)]
+
+    def table(self) -> Table:
+        """Return the quantities of each level with their 95 % intervals."""
+        points = self.level_points()
+        return table_of_levels(points, points[0].quantities)
 
     def columns(self) -> Mapping[str, NDArray[Any]]:
         """Return level, frequency, amplitude and damping ratio with their intervals."""

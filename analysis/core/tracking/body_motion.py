@@ -10,6 +10,7 @@ from rig.core.base.arrays import Array
 from rig.core.base.palette import CurveStyle
 from rig.core.results import format_percent
 from rig.core.results.response import Response
+from rig.core.results.table import Table
 from rig.core.results.uncertainty import SENSITIVITY
 
 
@@ -34,12 +35,13 @@ class LevelPoint(NamedTuple):
     note: str = ""
 
 
-def level_rows(points: Sequence[LevelPoint], names: Collection[str]) -> list[tuple[str, ...]]:
-    """Return a row for each level: level, text of each named quantity, and note."""
-    return [
+def table_of_levels(points: Sequence[LevelPoint], names: Collection[str]) -> Table:
+    """Return a table with a row for each level: level, text of each named quantity, and note."""
+    rows = [
         (point.level, *(point.quantities.get(name, (0.0, "not determined"))[1] for name in names), point.note)
         for point in points
     ]
+    return Table(("level", *names, "remark"), ">" * (len(names) + 1) + "<", rows)
 
 
 def quantity_ranges(points: Sequence[LevelPoint]) -> dict[str, str]:

@@ -6,7 +6,7 @@ of the curve. At a corner, the fold lies between the last stable point and the f
 The motion between two folds is unstable at constant force.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -23,7 +23,8 @@ from rig.core.base.errors import RecordingError
 from rig.core.base.figure_types import Axes
 from rig.core.base.palette import level_styles
 from rig.core.base.renamed import renamed
-from rig.core.results import Result, complete_style, format_limited, format_number
+from rig.core.results import Result, complete_style, format_interval, format_limited, format_number
+from rig.core.results.table import Table
 from rig.core.results.text import format_quantity
 from rig.core.results.uncertainty import SENSITIVITY
 from rig.core.scene.excitation import FORCE_TOLERANCE
@@ -162,6 +163,17 @@ class AmplitudeCurve(Result):
     def marks(self) -> list[tuple[float, float, str]]:
         """Return frequency, amplitude and name of each fold."""
         return [(fold.frequency, fold.amplitude, f"fold {fold.frequency:.4g} Hz") for fold in self.folds]
+
+    def table(self, exact: Sequence[str] = ()) -> Table:
+        """Return the folds; `exact`: frequencies of the folds of the exact orbits [Hz]."""
+        rows = [
+            (
+                f"{format_number(fold.level)} {self.unit}", format_interval(fold.frequency, fold.expanded),
+                f"{1e3 * fold.amplitude:.3g}", exact_fold,
+            )
+            for fold, exact_fold in zip(self.folds, exact or [""] * len(self.folds), strict=True)
+        ]  # fmt: skip
+        return Table(("level", "fold / Hz", f"amplitude of {self.body} / mm", "exact / Hz"), ">>>>", rows)
 
     def columns(self) -> Mapping[str, NDArray[Any]]:
         """Return level, frequency and amplitude with their intervals and stability."""

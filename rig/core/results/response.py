@@ -20,7 +20,8 @@ from rig.core.results.points import MOTIONS, Point, body_number
 from rig.core.results.response_arithmetic import MAX_PEAK_UNCERTAINTY_RATIO, ResponseArithmetic
 from rig.core.results.response_values import stack
 from rig.core.results.result import complete_style, missing_package
-from rig.core.results.text import format_percent, format_quantity
+from rig.core.results.table import Table
+from rig.core.results.text import format_interval, format_percent, format_quantity
 from rig.core.results.uncertainty import SCATTER
 from rig.core.results.universal_file import universal_file, write_curve
 
@@ -78,20 +79,36 @@ class Response(ResponseArithmetic, Sequence["Response"]):
         heading = f"{self.label}, {self.ratio}: {self.name}, {self.frequency.size} points"
         if not np.isfinite(self.value).any():
             return heading
-        peak, (unit, factor) = self.peak_line(), self.shown_in
-        magnitude, bound = factor * float(abs(self.value[peak])), factor * float(self.expanded()[peak])
-        height, contribution = f"{magnitude:.4g} {unit}", ""
-        if bound > 0.0:
-            height = format_quantity(magnitude, bound, unit)
-            relation = "largest contribution" if np.isfinite(bound) else "unbounded by"
-            contribution = f"; {relation}: {self.largest_contributions()[peak]}"
-        amplitude = ""
-        if self.amplitude is not None and self.reference == "force":
-            amplitude = f" under {self.amplitude[peak]:.4g} N"
+        magnitude, bound, at, force, cause = self.highest_value()
+        unit, contribution = self.shown_in[0], ""
+        height = format_quantity(magnitude, bound, unit) if cause else f"{magnitude:.4g} {unit}"
+        if cause:
+            contribution = f"; {'largest contribution' if np.isfinite(bound) else 'unbounded by'}: {cause}"
         return (
             f"{heading}, {self.frequency.min():.4g} to {self.frequency.max():.4g} Hz, highest {height} "
-            f"at {self.frequency[peak]:.4g} Hz{amplitude}{contribution}{'; '.join(['', *self.uncertain_peak()])}"
+            f"at {at} Hz{f' under {force} N' * bool(force)}{contribution}{'; '.join(['', *self.uncertain_peak()])}"
         )
+
+    def table(self) -> Table:
+        """Return the highest value of each curve with its 95 % interval, and its largest uncertainty."""
+        rows: list[tuple[str, ...]] = []
+        for curve in self.curves():
+            name = curve.response if len(self.inputs) == 1 else curve.ratio
+            if np.isfinite(curve.value).any():
+                magnitude, bound, *texts = curve.highest_value()
+                rows.append((name, format_interval(magnitude, bound), *texts))
+            else:
+                rows.append((name, "no value", "", "", ""))
+        heading = ("response", f"highest / ({self.shown_in[0]})", "at / Hz", "force / N", "largest uncertainty")
+        return Table(heading, "<>>><", rows)
+
+    def highest_value(self) -> tuple[float, float, str, str, str]:
+        """Return value and bound at the peak line in the shown unit, its frequency, force and largest uncertainty."""
+        peak, factor = self.peak_line(), self.shown_in[1]
+        bound = factor * float(self.expanded()[peak])
+        force = "" if self.amplitude is None or self.reference != "force" else f"{self.amplitude[peak]:.4g}"
+        cause = self.largest_contributions()[peak] if bound > 0.0 else ""
+        return factor * float(abs(self.value[peak])), bound, f"{self.frequency[peak]:.4g}", force, cause
 
     def peak_line(self) -> int:
         """Return the index of the largest value of a curve among the values with a small uncertainty.

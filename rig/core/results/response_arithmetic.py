@@ -12,7 +12,7 @@ from rig.core.results.interpolation import interpolate_curve, nearest_lines
 from rig.core.results.points import MOTIONS, Point
 from rig.core.results.response_values import ResponseValues, any_unsteady
 from rig.core.results.text import format_frequencies
-from rig.core.results.uncertainty import BudgetTable, stack_budgets
+from rig.core.results.uncertainty import SENSITIVITY, SYSTEMATIC, BudgetTable, stack_budgets
 from rig.core.settings.quantities import FREQUENCY, number, positive_values
 
 # Largest relative expanded uncertainty of the highest value if it counts as the peak; otherwise it may be noise.
@@ -231,4 +231,5 @@ class ResponseArithmetic(ResponseValues):
             factor * float(curve.expanded()[0]),
             unit,
             tuple(rows),
+            () if not self.limits or {SENSITIVITY, SYSTEMATIC} & set(self.limits) else (SENSITIVITY,),
         )

@@ -13,6 +13,7 @@ from rig.core.base.errors import RunError
 from rig.core.base.escaping import escape_html, escape_terminal
 from rig.core.base.figure_style import set_log_scale
 from rig.core.base.figure_types import Axes
+from rig.core.results.table import Table
 
 if TYPE_CHECKING:
     import pandas
@@ -40,16 +41,17 @@ class Result(ABC):
     def draw(self, ax: Axes, **style: Any) -> None:
         """Draw into axes and label them; `style` applies to the curves."""
 
+    def table(self) -> Table:
+        """Return the table that commands print and notebooks show; by default the range of each column."""
+        rows = [(name, _range(np.asarray(column))) for name, column in self.columns().items()]
+        return Table(("column", "range"), "<<", rows)
+
     def __repr__(self) -> str:
         return f"<{type(self).__name__}: {escape_terminal(self.summary())}>".replace("\n", " ")
 
     def _repr_html_(self) -> str:
-        """Return the summary and the range of each column as HTML for notebooks."""
-        rows = "".join(
-            f"<tr><td>{escape_html(name)}</td><td>{escape_html(_range(np.asarray(column)))}</td></tr>"
-            for name, column in self.columns().items()
-        )
-        return f"<p>{escape_html(repr(self))}</p><table>{rows}</table>"
+        """Return the summary and the table as HTML for notebooks."""
+        return f"<p>{escape_html(repr(self))}</p>{self.table().html()}"
 
     def plot(self, ax: Axes | None = None, **style: Any) -> Axes:
         """Draw the result.

@@ -32,7 +32,8 @@ from numpy.typing import ArrayLike, NDArray
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import SceneError
 from rig.core.numerics.memory import require_memory_with_program
-from rig.core.results.text import round_to_bound
+from rig.core.results.table import Table
+from rig.core.results.text import format_quantity, round_to_bound
 
 Lines = NDArray[np.bool_] | NDArray[np.intp]
 # Change of a response if an error source is at its limit, by the identity of the source; complex, shape (lines,).
@@ -44,6 +45,8 @@ _ROOT_3 = float(np.sqrt(3.0))
 COVERAGE_FACTOR = 2.0
 # Number of arrays of the size of a covariance that are in memory at a time while it is computed (measured).
 _COVARIANCE_COPIES = 6
+# Smaller contributions to a combined uncertainty, relative to it, are listed as an upper limit.
+_NEGLIGIBLE_RATIO = 1e-3
 # Effective degrees of freedom below which the coverage factor is Student's. Above, k = 2 differs from Student's factor
 # by at most 2 %: 2.009 at 50 degrees of freedom, 1.960 in the limit.
 _MIN_NORMAL_DEGREES = 50.0
@@ -423,30 +426,37 @@ class BudgetTable:
     expanded: float
     unit: str
     rows: tuple[tuple[str, str, float, float], ...]
+    missing: tuple[str, ...] = ()  # contributions of unknown size
 
     @property
     def combined(self) -> float:
         """Combined standard uncertainty (GUM 5.1.2)."""
         return float(np.linalg.norm([row[2] for row in self.rows]))
 
-    def __str__(self) -> str:
-        heading = ("contribution", "type", f"standard uncertainty / ({self.unit})", "share")
-        body = [
-            (name, evaluation, f"{standard:.2g}", "-" if np.isnan(share) else f"{100.0 * share:.1f} %")
+    @property
+    def heading(self) -> str:
+        """Ratio and frequency, with the value and its 95 % interval."""
+        return f"{self.title}: {format_quantity(self.value, self.expanded, self.unit)} (95 %)"
+
+    def table(self) -> Table:
+        """Return the contributions, their combined standard uncertainty and the expanded uncertainty."""
+        least = float(f"{_NEGLIGIBLE_RATIO * self.combined:.1g}") if np.isfinite(self.combined) else 0.0
+        rows = [
+            (
+                name, evaluation, f"< {least:g}" if standard < least else round_to_bound(standard, standard),
+                f"{100.0 * share:.0f} %" if np.isfinite(share) else "–",
+            )
             for name, evaluation, standard, share in self.rows
-        ]
-        body.append(("combined", "", f"{self.combined:.2g}", ""))
-        widths = [max(len(row[k]) for row in (heading, *body)) for k in range(4)]
-        lines = [
-            "  ".join(
-                cell.ljust(width) if k < 2 else cell.rjust(width)
-                for k, (cell, width) in enumerate(zip(row, widths, strict=True))
-            ).rstrip()
-            for row in (heading, *body)
-        ]
-        magnitude = round_to_bound(self.value, self.expanded)
-        expanded = round_to_bound(self.expanded, self.expanded) if np.isfinite(self.expanded) else "unbounded"
-        return "\n".join([f"{self.title}: ({magnitude} ± {expanded}) {self.unit} (95 %)", *lines])
+        ]  # fmt: skip
+        rows += [(name, "B", "not included", "–") for name in self.missing]
+        factor = self.expanded / self.combined if self.combined else COVERAGE_FACTOR
+        rows.append(("combined, u", "", round_to_bound(self.combined, self.combined), ""))
+        rows.append((f"expanded, U = k u, k = {factor:.2f}", "", round_to_bound(self.expanded, self.expanded), ""))
+        heading = ("contribution", "type (GUM)", f"standard uncertainty / ({self.unit})", "share of the variance")
+        return Table(heading, "<<>>", rows)
+
+    def __str__(self) -> str:
+        return "\n".join([self.heading, *self.table().lines()])
 
     __repr__ = __str__
 

@@ -24,6 +24,8 @@ _MAX_PHASE_STEP = 0.3
 _MIN_DETERMINED = 0.75
 # A gap of fewer undetermined lines does not end a determined range; it is an antiresonance.
 _ANTIRESONANCE_LINES = 5
+#: Curves with more lines than this are drawn as lines with some of their points: adjacent symbols would touch.
+MAX_MARKED = 160
 #: Curves with more lines than this are drawn without points, which would hide each other.
 MAX_POINTS = 600
 
@@ -43,6 +45,11 @@ def is_determined(frf: Response) -> NDArray[np.bool_]:
 
     Isolated points are excluded, because noise exceeds both by chance.
     """
+    is_measured = np.isfinite(frf.value)
+    if not is_measured.all() and is_measured.any():
+        # Gaps have no uncertainty, and must not affect the lines around them.
+        is_measured[is_measured] = is_determined(frf.at(is_measured))
+        return is_measured
     known = exceeds_noise(frf) & ~(frf.expanded() >= abs(frf.value))
     if known.size < _ROUGHNESS_POINTS:
         return known

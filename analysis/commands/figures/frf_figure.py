@@ -7,6 +7,7 @@ import numpy as np
 
 from analysis.commands.figures.determined_lines import (
     MAX_ERROR_RATIO,
+    MAX_MARKED,
     MAX_POINTS,
     determined_band,
     exceeds_noise,
@@ -19,9 +20,9 @@ from analysis.commands.figures.peak_marks import (
     PEAK_SYMBOLS,
     PeakMark,
     draw_marks,
+    drawn_response,
     label_peaks,
     peak_marks,
-    with_local_models,
     without_hidden_arrows,
 )
 from analysis.core.damper_motion.comparison import resonance_peaks
@@ -42,9 +43,7 @@ _ZERO_RATIO = 1e-9
 _PHASE_TOPS = (30.0, 120.0, 210.0)
 # Height of the strip that marks undetermined points, relative to the axes.
 _STRIP_HEIGHT = 0.012
-#: Curves with more lines than this are drawn as lines with some of their points: adjacent symbols would touch.
-MAX_MARKED = 160
-# Distance between the symbols of these curves, relative to the diagonal of the axes.
+# Distance between the symbols of curves with many lines, relative to the diagonal of the axes.
 _MARK_DISTANCE = 0.02
 # Length of the dashes of a curve with many lines, relative to the dashes of other curves.
 _DASH_SCALE = 0.5
@@ -185,9 +184,8 @@ def _draw_curve(
     # A downward sweep has larger, open markers, so an upward sweep remains visible where both coincide.
     is_folded = folds_back(frf.frequency)
     is_downward = frf.frequency.size > 1 and frf.frequency[0] > frf.frequency[-1] and not is_folded
-    color = style.color
-    curve, frf = frf.sorted(), frf.with_gaps()
-    is_known = np.insert(is_determined(curve), np.searchsorted(curve.frequency, np.sort(frf.omitted)), False)
+    color, curve = style.color, drawn_response(frf, marks)
+    frf, is_known = curve.lines, curve.is_known
     points: dict[str, Any] = {"ls": "", "marker": style.marker, "color": color, "ms": 2.6, "mew": 0.0, "zorder": 3}
     if is_downward:
         points |= {"mfc": "none", "ms": 5.0, "mew": 0.9, "zorder": 2.9}
@@ -207,10 +205,9 @@ def _draw_curve(
     factor = frf.shown_in[1]
     magnitude, random = factor * abs(frf.value), factor * np.nan_to_num(frf.expanded_random())
     total = factor * np.nan_to_num(frf.expanded(), posinf=np.inf)
-    frequency, value = frf.continued(is_known)
-    drawn, center = with_local_models(curve, marks, frequency, np.abs(value))
-    center = factor * center
-    for half_width, opacity in ((total, 0.13), (random, 0.25)) if is_known.any() and not is_folded else ():
+    drawn, center = curve.magnitude_frequency, factor * curve.magnitude
+    bands = ((total, 0.13), (random, 0.25)) if is_known.any() and not is_folded else ()
+    for half_width, opacity in bands:
         # Between the points, the band follows the thin curve.
         ratio = np.interp(drawn, frf.frequency[is_known], half_width[is_known] / magnitude[is_known])
         magnitude_axes.fill_between(
@@ -232,12 +229,6 @@ def _draw_curve(
         # One more point at either end makes the line continuous where its color changes to gray.
         noisy = ~is_known | ~np.roll(is_known, 1) | ~np.roll(is_known, -1)
         magnitude_axes.plot(frf.frequency, np.where(noisy, magnitude, np.nan), color=faded(color), lw=0.7, zorder=2)
-    if frf.frequency.size > MAX_MARKED:
-        # Lines close together are also joined where noise prevents interpolation.
-        is_joined = np.isfinite(center) | np.isin(drawn, frf.frequency)
-        drawn, center = drawn[is_joined], center[is_joined]
-        is_joined = np.isfinite(value) | np.isin(frequency, frf.frequency)
-        frequency, value = frequency[is_joined], value[is_joined]
     magnitude_axes.plot(drawn, center, **line)
     magnitude_axes.plot(frf.frequency, np.where(is_known, magnitude, np.nan), **points)
     symbol = {key: points[key] for key in ("marker", "mew", "mfc") if key in points}
@@ -246,17 +237,14 @@ def _draw_curve(
         magnitude_axes.plot(
             frf.frequency[frf.unsteady], magnitude[frf.unsteady], "x", color=color, markersize=6, zorder=4
         )
-    has_phase = is_known & is_smooth(frf)
-    angle = np.where(has_phase, phase_degrees(frf.value, top), np.nan)
-    value = np.where(has_phase[np.searchsorted(frf.frequency, frequency).clip(0, has_phase.size - 1)], value, np.nan)
-    drawn_angle = phase_degrees(value, top)
-    for half_width, opacity in ((total, 0.13), (random, 0.25)) if is_known.any() and not is_folded else ():
-        ratio = np.interp(frequency, frf.frequency[is_known], half_width[is_known] / magnitude[is_known])
-        width = break_at_wraps(frequency, drawn_angle, np.degrees(np.arcsin(np.minimum(ratio, 1.0))))[1]
-        band_frequency, center = break_at_wraps(frequency, drawn_angle)
-        phase_axes.fill_between(band_frequency, center - width, center + width, color=color, alpha=opacity, lw=0)
-    phase_axes.plot(*break_at_wraps(frequency, drawn_angle), **line)
-    phase_axes.plot(frf.frequency, angle, **points)
+    angle = phase_degrees(curve.value, top)
+    drawn, center = break_at_wraps(curve.frequency, angle)
+    for half_width, opacity in bands:
+        ratio = np.interp(curve.frequency, frf.frequency[is_known], half_width[is_known] / magnitude[is_known])
+        width = break_at_wraps(curve.frequency, angle, np.degrees(np.arcsin(np.minimum(ratio, 1.0))))[1]
+        phase_axes.fill_between(drawn, center - width, center + width, color=color, alpha=opacity, lw=0)
+    phase_axes.plot(drawn, center, **line)
+    phase_axes.plot(frf.frequency, np.where(curve.has_phase, phase_degrees(frf.value, top), np.nan), **points)
     if has_scatter(frf):
         if is_unknown.any():
             coherence_axes.plot(frf.frequency, frf.coherence, color=faded(color), lw=0.7, zorder=2)

@@ -4,10 +4,18 @@ from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from analysis.commands.figures.determined_lines import MAX_POINTS, folds_back, has_scatter, is_determined, is_smooth
+from analysis.commands.figures.determined_lines import (
+    MAX_MARKED,
+    MAX_POINTS,
+    folds_back,
+    has_scatter,
+    is_determined,
+    is_smooth,
+)
 from analysis.core.damper_motion.comparison import Peak, local_model
-from rig.core.base.arrays import Array
+from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.figure_types import Axes
 from rig.core.results.resonances import Resonance
 from rig.core.results.response import MOTIONS, Response
@@ -193,7 +201,34 @@ def _is_free(axes: Axes, point: tuple[float, float], side: float, taken: Iterabl
     return True
 
 
-def with_local_models(
+class DrawnResponse(NamedTuple):
+    """What figures and charts draw of a response: its lines, and the thin curve through the determined lines."""
+
+    lines: Response  # in ascending order, NaN at omitted frequencies
+    is_known: NDArray[np.bool_]  # determined lines
+    has_phase: NDArray[np.bool_]  # lines with a determined phase
+    frequency: Array  # of the curve [Hz]
+    value: ComplexArray  # of the curve; NaN where lines do not resolve it or determine no phase
+    magnitude_frequency: Array  # as `frequency`, with further points around the marked peaks, which the curve reaches
+    magnitude: Array
+
+
+def drawn_response(frf: Response, marks: Iterable[PeakMark] = ()) -> DrawnResponse:
+    """Return what is drawn of a response with marked peaks."""
+    lines = frf.with_gaps()
+    is_known = is_determined(lines)
+    has_phase = is_known & is_smooth(lines)
+    frequency, value = lines.continued(is_known)
+    if lines.frequency.size > MAX_MARKED:
+        # Lines close together are also joined where noise prevents interpolation.
+        is_joined = np.isfinite(value) | np.isin(frequency, lines.frequency)
+        frequency, value = frequency[is_joined], value[is_joined]
+    magnitude = _with_local_models(frf, marks, frequency, np.abs(value))
+    is_shown = has_phase[np.searchsorted(lines.frequency, frequency).clip(0, has_phase.size - 1)]
+    return DrawnResponse(lines, is_known, has_phase, frequency, np.where(is_shown, value, np.nan), *magnitude)
+
+
+def _with_local_models(
     frf: Response, marks: Iterable[PeakMark], frequency: Array, magnitude: Array
 ) -> tuple[Array, Array]:
     """Replace a drawn curve (Hz, unit of `frf`) around each peak that it does not reach by the peak's local model."""

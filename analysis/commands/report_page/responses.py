@@ -11,16 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.commands.figures.decay_figure import frequency_title, group_modes
-from analysis.commands.figures.determined_lines import folds_back, is_determined, is_smooth
+from analysis.commands.figures.determined_lines import MAX_MARKED, folds_back
 from analysis.commands.figures.frf_figure import (
-    MAX_MARKED,
     break_at_wraps,
     phase_degrees,
     phase_ticks,
     phase_top,
     undetermined_text,
 )
-from analysis.commands.figures.peak_marks import MODE_SHIFT, PEAK_SYMBOLS, PeakMark, peak_label, with_local_models
+from analysis.commands.figures.peak_marks import MODE_SHIFT, PEAK_SYMBOLS, PeakMark, drawn_response, peak_label
 from analysis.commands.report_page.charts import (
     Chart,
     Curve,
@@ -182,37 +181,24 @@ def response_chart(
     labels, see `Panel`. `view`: part of the band that is shown first, and determines the vertical axis.
     """
     styles = styles or location_styles([frf.outputs[0].at for frf in frfs])
-    ordered = [frf.with_gaps() for frf in frfs]
-    unit, factor = ordered[0].shown_in
+    unit, factor = frfs[0].shown_in
     magnitude, phase, coherence, relative = [], [], [], []
     strips: list[Strip] = []
     top = phase_top(frfs)
-    rows = zip(frfs, ordered, names, styles, peaks or [()] * len(ordered), strict=True)
-    for original, full, name, style, found in rows:
-        known = is_determined(full) & np.isfinite(full.value)
-        has_phase = known & is_smooth(full)
-        curve_f, curve_value = full.continued(known)
-        chosen = _extremes(full.frequency, full.value)
-        frf, known, angle = (
-            full.at(chosen),
-            known[chosen],
-            np.where(has_phase, phase_degrees(full.value, top), np.nan)[chosen],
-        )
+    for original, name, style, found in zip(frfs, names, styles, peaks or [()] * len(frfs), strict=True):
+        thin = drawn_response(original, found)
+        chosen = _extremes(thin.lines.frequency, thin.lines.value)
+        frf, known = thin.lines.at(chosen), thin.is_known[chosen]
         f, modulus, expanded = frf.frequency, factor * abs(frf.value), factor * frf.expanded()
         low, high = (np.where(known, modulus + sign * expanded, np.nan) for sign in (-1.0, 1.0))
         curve = Curve(name, f, np.where(known, modulus, np.nan), low, high, style)
-        draw = "points" if full.frequency.size <= MAX_MARKED else "line"
+        draw = "points" if thin.lines.frequency.size <= MAX_MARKED else "line"
         if folds_back(original.frequency):
             # Several responses at one frequency are not a function of frequency, and have no band.
             draw, curve = "dots", replace(curve, low=None, high=None)
-        elif draw == "line":
-            # Neighboring lines are joined also where their noise prevents interpolation.
-            is_joined = np.isfinite(curve_value) | np.isin(curve_f, full.frequency)
-            curve_f, curve_value = curve_f[is_joined], curve_value[is_joined]
         # Between the points, the band follows the thin curve.
-        drawn, center = with_local_models(original, found, curve_f, np.abs(curve_value))
-        chosen = _extremes(drawn, center)
-        drawn, center = drawn[chosen], factor * center[chosen]
+        shown = _extremes(thin.magnitude_frequency, thin.magnitude)
+        drawn, center = thin.magnitude_frequency[shown], factor * thin.magnitude[shown]
         ratio = np.interp(drawn, f[known], (expanded / modulus)[known]) if known.any() else 0.0
         low, high = (center * np.maximum(1.0 + sign * ratio, 0.0) for sign in (-1.0, 1.0))
         through = Curve(name, drawn, center, low, high, style, "through")
@@ -226,29 +212,27 @@ def response_chart(
             stored = joined | np.roll(joined, 1)
             gray = np.where(joined, modulus, np.nan)[stored]
             magnitude.append(Curve(name, f[stored], gray, style=style, draw="pale"))
-        # The phase has the same gaps as the magnitude.
-        line = np.where(
-            has_phase[np.searchsorted(full.frequency, curve_f).clip(0, has_phase.size - 1)], curve_value, np.nan
-        )
+        shown = _extremes(thin.frequency, thin.value)
+        line = _break_visibly(thin.frequency[shown], phase_degrees(thin.value[shown], top))
         if draw == "points":
             magnitude.append(through)
-            phase.append(Curve(name, *_break_visibly(curve_f, phase_degrees(line, top)), style=style, draw="through"))
+            phase.append(Curve(name, *line, style=style, draw="through"))
         unsteady = np.zeros(f.size, dtype=bool) if frf.unsteady is None else frf.unsteady
         magnitude += _symbols(name, style, "crosses", zip(f[unsteady], modulus[unsteady], strict=True))
         for symbol in PEAK_SYMBOLS:
             places = [(mark.frequency, factor * mark.height) for mark in found if mark.symbol == symbol]
             magnitude += _symbols(name, style, symbol, places)
         if draw == "line":
-            chosen = _extremes(curve_f, curve_value)
-            phase.append(Curve(name, *_break_visibly(curve_f[chosen], phase_degrees(line[chosen], top)), style=style))
+            phase.append(Curve(name, *line, style=style))
         else:
+            angle = np.where(thin.has_phase, phase_degrees(thin.lines.value, top), np.nan)[chosen]
             phase.append(Curve(name, *break_at_wraps(f, angle), style=style, draw=draw))
         draw = "dots" if draw == "dots" else "line"
         coherence.append(Curve(name, f, frf.coherence, style=style, draw=draw))
         relative.append(Curve(name, f, np.minimum(100.0 * expanded / modulus, _MAX_PERCENT), style=style, draw=draw))
-    quantity = ordered[0].name
-    outputs = ", ".join(dict.fromkeys(frf.response for frf in ordered))
-    band = np.concatenate([frf.frequency for frf in ordered])
+    quantity = frfs[0].name
+    outputs = ", ".join(dict.fromkeys(frf.response for frf in frfs))
+    band = np.concatenate([column for frf in frfs for column in (frf.frequency, frf.omitted)])
     symbols = {curve.draw for curve in magnitude}
     notes = [
         "Bands and U: 95 % intervals; γ²: coherence.",
@@ -256,11 +240,11 @@ def response_chart(
         *(text for symbol, text in PEAK_SYMBOLS.items() if symbol in symbols),
         "Labels: natural frequencies of the modes; “peak”: of other peaks." * bool(marks),
         "Crosses: steady state not reached." * ("crosses" in symbols),
-        f"Pale, with a strip at the axis: undetermined ({undetermined_text(ordered)})." * bool(strips),
+        f"Pale, with a strip at the axis: undetermined ({undetermined_text(frfs)})." * bool(strips),
     ]
     return Chart(
-        f"{quantity.capitalize()} of {outputs} / {ordered[0].input}. {' '.join(filter(None, notes))}",
-        f"{quantity.capitalize()} of {outputs} / {ordered[0].input} from {band.min():.4g} to {band.max():.4g} Hz.",
+        f"{quantity.capitalize()} of {outputs} / {frfs[0].input}. {' '.join(filter(None, notes))}",
+        f"{quantity.capitalize()} of {outputs} / {frfs[0].input} from {band.min():.4g} to {band.max():.4g} Hz.",
         [
             Panel(f"|{quantity}|", unit, magnitude, 240, True, _limits(magnitude, view), marks=marks, strips=strips),
             Panel("phase", "°", phase, 105, limits=(top - 375.0, top + 15.0), ticks=phase_ticks(top)),

@@ -518,3 +518,13 @@ def test_labels_of_levels_avoid_the_next_point(frequencies, sides) -> None:
     axes = Figure().add_subplot()
     Backbone.draw(points, axes)  # type: ignore[arg-type]
     assert "".join(text.get_ha()[0] for text in axes.texts) == sides
+
+
+def test_gaps_do_not_change_determined_lines():
+    f = np.linspace(10.0, 40.0, 121)
+    value = 1e-6 / (1.0 - (f / 25.0) ** 2 + 0.02j)
+    noise = {"error": 0.01 * abs(value), "degrees_of_freedom": np.full(f.size, 9.0)}
+    curve = Response.curve(f, value, "body1", coherence=np.where(f < 20.0, 0.3, 1.0), omitted=np.array([30.1]), **noise)
+    gap, known = f.searchsorted(30.1), is_determined(curve)
+    assert known.tolist() == (f >= 20.0).tolist()
+    assert is_determined(curve.with_gaps()).tolist() == np.insert(known, gap, False).tolist()

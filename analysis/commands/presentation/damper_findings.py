@@ -20,8 +20,8 @@ from analysis.core.damper_motion.energy_balance import EnergyBalance
 from analysis.core.damper_motion.motion_types import DamperMotion
 from analysis.core.recordings.names import OpenRecordings, full_test_text, scene_labels, with_recordings
 from rig.core.base.progress import CountProgress
-from rig.core.results import format_frequencies, format_interval, format_number
-from rig.core.results.text import table_lines
+from rig.core.results import format_frequencies, format_interval, format_limited, format_number
+from rig.core.results.table import Table
 from rig.core.results.uncertainty import expand
 
 # Frequencies in the printed energy table, which must stay short; the CSV file contains all frequencies.
@@ -104,15 +104,18 @@ def describe_motions(bodies: Sequence[list[DamperMotion]], omitted: Sequence[flo
              at rest on the floor  elsewhere
     Damper impacts with a velocity jump below 1.6 mm/s (body2) are not detected.
     """
-    rows = [("channel", "motion", "frequency")]
-    for motions in bodies:
-        rows += _motion_rows(motions, omitted)
     restitutions = [text for motions in bodies for text in _restitution(motions)]
     return [
-        *table_lines(rows, "<<<"),
+        *motion_table(bodies, omitted).lines(),
         *([f"Restitution: {'; '.join(restitutions)}."] if restitutions else []),
         f"Damper impacts with a velocity jump below {detection_limits(bodies)} are not detected.",
     ]
+
+
+def motion_table(bodies: Sequence[list[DamperMotion]], omitted: Sequence[float] = ()) -> Table:
+    """Return the motions in each body with their frequencies; for the arguments see `describe_motions`."""
+    rows = [row for motions in bodies for row in _motion_rows(motions, omitted)]
+    return Table(("channel", "motion", "frequency"), "<<<", rows)
 
 
 def detection_limits(bodies: Sequence[list[DamperMotion]]) -> str:
@@ -168,19 +171,19 @@ def describe_energy(energy: EnergyBalance, true_loss: np.ndarray | None = None) 
     The fourth column is the change of the dampers' share if the structural damping in the scene is 10 % too high. If
     the recording contains `true_loss`, the last column is the true share of the impacts.
     """
-    indices = np.sort(np.argsort(energy.supplied, kind="stable")[::-1][:_PRINTED_FREQUENCIES])
-    heading = ["frequency / Hz", "supplied / mJ", "into dampers / %", "change if scene damping 10 % too high / %"]
-    rows = [heading if true_loss is None else [*heading, "true impact loss / %"]]
-    for i in indices:
-        share, bound = (100.0 * energies[i] / energy.supplied[i] for energies in (energy.dampers, energy.expanded))
-        damper_share = (
-            format_interval(share, bound) if not abs(share) <= bound else f"below {format_number(share + bound)}"
-        )
-        # Change of the dampers' share in %, if the structural damping changes by 10 %.
-        change = 10.0 * energy.structure[i] / energy.supplied[i]
-        row = [f"{energy.frequency[i]:.4g}", format_number(1e3 * energy.supplied[i]), damper_share, f"{change:+.2g}"]
-        rows.append(row if true_loss is None else [*row, f"{100.0 * true_loss[i] / energy.supplied[i]:.3g}"])
-    return [
-        "Energy per period, at the frequencies where the force supplies most:",
-        *table_lines(rows, ">" * len(rows[0])),
-    ]
+    rows = []
+    for i in np.sort(np.argsort(energy.supplied, kind="stable")[::-1][:_PRINTED_FREQUENCIES]):
+        percent = 100.0 / energy.supplied[i]
+        rows.append((
+            f"{energy.frequency[i]:.4g}",
+            format_number(1e3 * energy.supplied[i]),
+            format_limited(percent * energy.dampers[i], percent * energy.expanded[i], 100.0),
+            f"{0.1 * percent * energy.structure[i]:+.2g}",
+            "" if true_loss is None else f"{percent * true_loss[i]:.3g}",
+        ))  # fmt: skip
+    heading = (
+        "frequency / Hz", "supplied / mJ", "into dampers / %", "change if scene damping 10 % too high / %",
+        "true impact loss / %",
+    )  # fmt: skip
+    title = "Energy per period, at the frequencies where the force supplies most:"
+    return [title, *Table(heading, ">>>>>", rows).lines()]

@@ -26,7 +26,7 @@ from daq.core.recording.recording import Recording
 from rig.core.base.escaping import escape_figure
 from rig.core.base.figure_style import COLORS, add_legend_below, add_title, new_figure, save_figure, set_log_scale
 from rig.core.base.palette import BASELINE, location_style
-from rig.core.results.text import table_lines
+from rig.core.results.table import Table
 
 
 @with_recordings
@@ -54,7 +54,7 @@ def present_srs(
     spectra: list[tuple[str, ShockSpectrum]] = []
     for path, label in zip(paths, scene_labels(recordings, paths), strict=True):
         rec = recordings.of(path)
-        lines += pulse_lines(rec)
+        lines += pulse_table(rec).lines()
         test = rec.scene.test
         controlled = [] if test is None or channels else [str(name) for _, name in test.named_channels]
         for name in dict.fromkeys([*controlled, *select_channels(rec, channels)]) or list(rec.channels):
@@ -103,9 +103,9 @@ def present_srs(
     return CommandOutput(tuple(files), tuple(lines), tuple(dict.fromkeys(warnings)))
 
 
-def pulse_lines(rec: Recording) -> list[str]:
-    """Return a table of the practice pulses and shocks of a recording with their deviations; empty without a shock."""
-    rows = [("pulse", "level / dB", "peak / (m/s²)", "deviation", "tolerance", "")]
+def pulse_table(rec: Recording) -> Table:
+    """Return the practice pulses and shocks of a recording with their deviations."""
+    rows = []
     for mark in shocks_of(rec.markers, with_practice=True):
         fields, (factor, unit) = mark.fields, deviation_unit(mark)
         deviation, tolerance = (f"{factor * float(fields[key]):.3g} {unit}" for key in ("deviation", "tolerance"))
@@ -113,4 +113,4 @@ def pulse_lines(rec: Recording) -> list[str]:
         name, level = f"{mark.kind} {fields['number']}", f"{float(fields['level']):g}"
         peak = f"{float(fields['peak']):.4g}"
         rows.append((name, level, peak, deviation, tolerance, "within" if is_within else "outside"))
-    return table_lines(rows, "<>>>><") if len(rows) > 1 else []
+    return Table(("pulse", "level / dB", "peak / (m/s²)", "deviation", "tolerance", ""), "<>>>><", rows)

@@ -12,7 +12,7 @@ from rig.core.base.figure_style import add_legend_below
 from rig.core.base.figure_types import Axes, Figure
 from rig.core.base.palette import level_styles
 from rig.core.results import format_number
-from rig.core.results.text import table_lines
+from rig.core.results.table import Table
 
 
 @with_recordings
@@ -74,4 +74,4 @@ def fold_lines(result: ForceSurface, forces: Sequence[float]) -> list[str]:
         for frequency, amplitude in result.folds(force)
     ]
     heading = ("force", "fold / Hz", f"amplitude of {result.body} / mm")
-    return [f"  {line}" for line in table_lines([heading, *rows], ">>>")] if rows else []
+    return Table(heading, ">>>", rows).lines("  ")

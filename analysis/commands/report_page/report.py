@@ -27,8 +27,10 @@ from analysis.commands.report_page.summary import limitations, summarize
 from analysis.commands.report_page.tables import (
     budget,
     changes_table,
+    controlled,
     decays,
     mac_table,
+    motions,
     resonances,
     settings,
     test_sentence,
@@ -123,7 +125,9 @@ def _body(measurements: Measurements, paths: Sequence[Path], note: str) -> tuple
     # the results computed from them, because they limit both.
     sections = {
         "Levels": [level_table(results)],
-        "Controlled motion": [charts.write(chart) for each in results for chart in control_charts(each)],
+        "Controlled motion": [
+            part for each in results for part in (*map(charts.write, control_charts(each)), controlled(each))
+        ],
         "Frequency responses": [
             charts.write(chart)
             for chart in (*response_charts(results, baseline.label), *force_charts(results, baseline.label))
@@ -132,7 +136,7 @@ def _body(measurements: Measurements, paths: Sequence[Path], note: str) -> tuple
         "Results": [changes_table(changes), resonances(results, baseline), decays(results)],
         "Mode shapes": [*_modes(results, baseline), *_macs(results, baseline)],
         "Stabilization diagrams": [charts.write(chart) for chart in stabilization_charts(results)],
-        "Dampers": [charts.write(chart) for each in results for chart in damper_charts(each)],
+        "Dampers": [part for each in results for part in (*map(charts.write, damper_charts(each)), motions(each))],
         "Free decays": [charts.write(chart) for chart in decay_charts(results, baseline.label)],
         "Uncertainty": _budgets(results),
         **{f"Recording {each.path.name}": _recording(each, charts, each is not drawn) for each in results},

@@ -12,7 +12,9 @@ import numpy as np
 from analysis.commands.figures.frf_figure import intervals_text
 from analysis.commands.figures.peak_marks import MODE_SHIFT
 from analysis.commands.presentation.comparison import change_table
+from analysis.commands.presentation.damper_findings import motion_table
 from analysis.commands.presentation.mode_findings import MIN_SAME_SHAPE_MAC
+from analysis.commands.presentation.shock_findings import pulse_table
 from analysis.commands.report_page.measurements import Measurement, SweepChange, missing_tolerances
 from analysis.core.damper_motion.comparison import Peak, PeakChange
 from analysis.core.modal.modes import Modes, mac
@@ -120,6 +122,21 @@ def decays(measurements: Sequence[Measurement]) -> str:
         "on amplitude and differs from the resonance frequency of the response"
     )
     return join_tables(tables).html(caption)
+
+
+def motions(measurement: Measurement) -> str:
+    """Return the table of damper motion that `analysis dampers` prints, with all sweeps, as HTML."""
+    tables = [
+        (each.label, motion_table(each.bodies, each.sweep.lines.omitted.tolist())) for each in measurement.dampers
+    ]
+    return join_tables(tables).html("Motion of the dampers")
+
+
+def controlled(measurement: Measurement) -> str:
+    """Return the channels of a profile, or the pulses of a shock test, as HTML."""
+    if measurement.profile is not None:
+        return measurement.profile.table().html("Channels at the full level")
+    return pulse_table(measurement.rec).html("Pulses at the control channel")
 
 
 def budget(curve: Response, highest: Peak) -> str:

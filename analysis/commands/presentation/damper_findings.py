@@ -17,24 +17,15 @@ from analysis.commands.presentation.outputs import (
 from analysis.commands.presentation.tables import write_table
 from analysis.core.damper_motion.dampers import Dampers, dampers_in
 from analysis.core.damper_motion.energy_balance import EnergyBalance
-from analysis.core.damper_motion.motion_types import DamperMotion
+from analysis.core.damper_motion.motion_types import DamperMotion, motion_table
 from analysis.core.recordings.names import OpenRecordings, full_test_text, scene_labels, with_recordings
 from rig.core.base.progress import CountProgress
-from rig.core.results import format_frequencies, format_interval, format_limited, format_number
+from rig.core.results import format_interval, format_limited, format_number
 from rig.core.results.table import Table
 from rig.core.results.uncertainty import expand
 
 # Frequencies in the printed energy table, which must stay short; the CSV file contains all frequencies.
 _PRINTED_FREQUENCIES = 2
-# Printed descriptions of the motions by name (`DamperMotion.name`).
-_AT_REST = "at rest on the floor"
-_NEAR_GRAVITY = "near 1 g, may fly"
-_IRREGULAR = "irregular, or impacts missed"
-# Impacts once a period: Type I at the floor; II at floor and ceiling; III as II, with a stay at the ceiling.
-_TYPES = ("Type I", "Type II", "Type III")
-_OTHER = "other patterns, or irregular"
-# Maximum number of rows of a body's moving dampers; further irregular and other patterns share a row.
-_MAX_KINDS = 3
 _HEADING = (
     "scene", "frequency_Hz", "supplied_J", "structure_J", "dampers_J", "dampers_bound_J", "true_impacts_J",
     "channel", "motion", "floor_per_period", "ceiling_per_period",
@@ -112,34 +103,10 @@ def describe_motions(bodies: Sequence[list[DamperMotion]], omitted: Sequence[flo
     ]
 
 
-def motion_table(bodies: Sequence[list[DamperMotion]], omitted: Sequence[float] = ()) -> Table:
-    """Return the motions in each body with their frequencies; for the arguments see `describe_motions`."""
-    rows = [row for motions in bodies for row in _motion_rows(motions, omitted)]
-    return Table(("channel", "motion", "frequency"), "<<<", rows)
-
-
 def detection_limits(bodies: Sequence[list[DamperMotion]]) -> str:
     """List the largest detection limit of each body, at any frequency."""
     limits = [(max(motion.threshold for motion in body), body[0].channel) for body in bodies]
     return ", ".join(f"{float(f'{1e3 * limit:.2g}'):.10g} mm/s ({channel})" for limit, channel in limits)
-
-
-def _motion_rows(motions: list[DamperMotion], omitted: Sequence[float]) -> list[tuple[str, str, str]]:
-    """Return the rows of one body: each type of motion with its frequencies; resting dampers come last."""
-    kind_at_frequency = [(motion.frequency, _kind(motion)) for motion in motions] + [(f, "") for f in omitted]
-    kinds = dict.fromkeys(kind for _, kind in kind_at_frequency if kind)
-    if len(kinds) - (_AT_REST in kinds) > _MAX_KINDS:
-        separate_kinds = (*_TYPES, _AT_REST, _NEAR_GRAVITY, "")
-        kind_at_frequency = [(f, kind if kind in separate_kinds else _OTHER) for f, kind in kind_at_frequency]
-        kinds = dict.fromkeys(kind for _, kind in kind_at_frequency if kind)
-    frequency = [f for f, _ in kind_at_frequency]
-    order = sorted(kinds, key=lambda kind: (kind == _AT_REST, kind == _NEAR_GRAVITY))
-    rows = []
-    for kind in order:
-        printed_frequencies = format_frequencies(frequency, [kind == other for _, other in kind_at_frequency])
-        # The previous rows list all other frequencies.
-        rows.append(("", kind, "elsewhere" if kind == _AT_REST and len(order) > 1 else printed_frequencies))
-    return [(motions[0].channel, *rows[0][1:]), *rows[1:]]
 
 
 def _restitution(motions: list[DamperMotion]) -> list[str]:
@@ -156,13 +123,6 @@ def _restitution(motions: list[DamperMotion]) -> list[str]:
     expanded = float(expand(max(float(weight.mean() ** -0.5), scatter)))
     text = format_interval(mean, expanded).replace("-0.000", "0.000")
     return [f"{text} ({motions[0].channel}, {len(estimates)} frequencies)"]
-
-
-def _kind(motion: DamperMotion) -> str:
-    """Translate a motion name into printed text."""
-    kind, _, counts = motion.name.partition(": ")
-    printed_names = {"riding": _AT_REST, "unseen": _NEAR_GRAVITY, "uncertain": _IRREGULAR, "other": counts}
-    return printed_names.get(kind, f"Type {kind}")
 
 
 def describe_energy(energy: EnergyBalance, true_loss: np.ndarray | None = None) -> list[str]:

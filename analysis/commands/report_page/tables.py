@@ -12,7 +12,6 @@ import numpy as np
 from analysis.commands.figures.frf_figure import intervals_text
 from analysis.commands.figures.peak_marks import MODE_SHIFT
 from analysis.commands.presentation.comparison import change_table
-from analysis.commands.presentation.damper_findings import motion_table
 from analysis.commands.presentation.mode_findings import MIN_SAME_SHAPE_MAC
 from analysis.commands.presentation.shock_findings import pulse_table
 from analysis.commands.report_page.measurements import Measurement, SweepChange, missing_tolerances
@@ -126,10 +125,7 @@ def decays(measurements: Sequence[Measurement]) -> str:
 
 def motions(measurement: Measurement) -> str:
     """Return the table of damper motion that `analysis dampers` prints, with all sweeps, as HTML."""
-    tables = [
-        (each.label, motion_table(each.bodies, each.sweep.lines.omitted.tolist())) for each in measurement.dampers
-    ]
-    return join_tables(tables).html("Motion of the dampers")
+    return join_tables((each.label, each.table()) for each in measurement.dampers).html("Motion of the dampers")
 
 
 def controlled(measurement: Measurement) -> str:

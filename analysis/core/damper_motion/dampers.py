@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.core.damper_motion.energy_balance import EnergyBalance, energy_per_period, impact_energy_per_period
-from analysis.core.damper_motion.motion_types import DamperMotion, damper_motion
+from analysis.core.damper_motion.motion_types import DamperMotion, damper_motion, motion_table
 from analysis.core.recordings.names import relabel
 from analysis.core.responses.measurands import motion_channel_at
 from analysis.core.responses.stepped_sine import Sweep, sweeps
@@ -18,6 +18,7 @@ from rig.core.base.errors import RecordingError
 from rig.core.base.figure_types import Axes
 from rig.core.base.progress import CountProgress
 from rig.core.results import Result, complete_style, format_percent
+from rig.core.results.table import Table
 from rig.core.scene.damper import Damper
 
 #: Sentence on the impacts of a mass that does not fall freely: without walls, and with walls.
@@ -79,6 +80,10 @@ class Dampers(Result):
             "floor_per_period": floor,
             "ceiling_per_period": ceiling,
         }
+
+    def table(self) -> Table:
+        """Return the motions in each body with their frequencies."""
+        return motion_table(self.bodies, self.sweep.lines.omitted.tolist())
 
     def summary(self) -> str:
         """Return the frequency range, and the frequency at which the dampers dissipate most."""

@@ -6,6 +6,7 @@ each of floor and ceiling per period; the damper leaves the ceiling immediately 
 acceleration of the body rises to -g (III). Other patterns are described by their numbers of impacts.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,7 +24,9 @@ from analysis.core.responses.stepped_sine import Sweep
 from daq.core.recording.recording import Recording
 from rig.core.base.arrays import Array
 from rig.core.base.progress import CountProgress
+from rig.core.results import format_frequencies
 from rig.core.results.response import MOTIONS
+from rig.core.results.table import Table
 from rig.core.results.uncertainty import expand
 from rig.core.scene.damper import Damper
 
@@ -38,6 +41,16 @@ _RESTITUTION_SIGMAS = 3.0
 _MAX_SEARCHED_SAMPLES = 1 << 20
 # Periods that are searched even if they contain more samples: five recurrences of the longest pattern.
 _MIN_SEARCHED_PERIODS = 20
+
+# Printed descriptions of the motions by name (`DamperMotion.name`).
+_AT_REST = "at rest on the floor"
+_NEAR_GRAVITY = "near 1 g, may fly"
+_IRREGULAR = "irregular, or impacts missed"
+# Impacts once a period: Type I at the floor; II at floor and ceiling; III as II, with a stay at the ceiling.
+_TYPES = ("Type I", "Type II", "Type III")
+_OTHER = "other patterns, or irregular"
+# Maximum number of rows of a body's moving dampers; further irregular and other patterns share a row.
+_MAX_KINDS = 3
 
 
 @dataclass(frozen=True)
@@ -98,6 +111,37 @@ class DamperMotion:
             uncertainty = ", staying or not" if self.ceiling else ", and perhaps weak impacts on the ceiling"
         floor, ceiling = self.impacts_per_period
         return f"other: {floor:.3g} floor and {ceiling:.3g} ceiling impacts a period{uncertainty}"
+
+
+def motion_table(bodies: Sequence[list[DamperMotion]], omitted: Sequence[float] = ()) -> Table:
+    """Return the motions in each body with their frequencies; `omitted`: frequencies without a result [Hz]."""
+    rows = [row for motions in bodies for row in _motion_rows(motions, omitted)]
+    return Table(("channel", "motion", "frequency"), "<<<", rows)
+
+
+def _motion_rows(motions: list[DamperMotion], omitted: Sequence[float]) -> list[tuple[str, str, str]]:
+    """Return the rows of one body: each type of motion with its frequencies; resting dampers come last."""
+    kind_at_frequency = [(motion.frequency, _kind(motion)) for motion in motions] + [(f, "") for f in omitted]
+    kinds = dict.fromkeys(kind for _, kind in kind_at_frequency if kind)
+    if len(kinds) - (_AT_REST in kinds) > _MAX_KINDS:
+        separate_kinds = (*_TYPES, _AT_REST, _NEAR_GRAVITY, "")
+        kind_at_frequency = [(f, kind if kind in separate_kinds else _OTHER) for f, kind in kind_at_frequency]
+        kinds = dict.fromkeys(kind for _, kind in kind_at_frequency if kind)
+    frequency = [f for f, _ in kind_at_frequency]
+    order = sorted(kinds, key=lambda kind: (kind == _AT_REST, kind == _NEAR_GRAVITY))
+    rows = []
+    for kind in order:
+        printed_frequencies = format_frequencies(frequency, [kind == other for _, other in kind_at_frequency])
+        # The previous rows list all other frequencies.
+        rows.append(("", kind, "elsewhere" if kind == _AT_REST and len(order) > 1 else printed_frequencies))
+    return [(motions[0].channel, *rows[0][1:]), *rows[1:]]
+
+
+def _kind(motion: DamperMotion) -> str:
+    """Translate a motion name into printed text."""
+    kind, _, counts = motion.name.partition(": ")
+    printed_names = {"riding": _AT_REST, "unseen": _NEAR_GRAVITY, "uncertain": _IRREGULAR, "other": counts}
+    return printed_names.get(kind, f"Type {kind}")
 
 
 def damper_motion(

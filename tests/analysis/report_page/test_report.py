@@ -35,7 +35,7 @@ from analysis.commands.report_page.summary import limitations, summarize
 from analysis.commands.report_page.tables import changes_table, motions, resonances
 from analysis.commands.report_page.tables import test_sentence as sentence_of
 from analysis.core.damper_motion.comparison import Peak, PeakChange, local_model, resonance_peak, resonance_peaks
-from analysis.core.damper_motion.motion_types import DamperMotion
+from analysis.core.damper_motion.motion_types import DamperMotion, motion_table
 from analysis.core.modal.mode_warnings import extrapolates_damping
 from analysis.core.modal.modes import BodyShapes
 from daq.core.recording.markers import Marker
@@ -190,8 +190,7 @@ def test_answer_states_detection_limits_of_impacts() -> None:
 
 def test_report_lists_the_printed_motions() -> None:
     body = [DamperMotion(f, "body2", 1.0, 0.0, False, 1.6e-3, False) for f in (30.0, 31.0)]
-    sweep = SimpleNamespace(lines=SimpleNamespace(omitted=np.empty(0)))
-    html = motions(SimpleNamespace(dampers=[SimpleNamespace(label="a", bodies=[body], sweep=sweep)]))
+    html = motions(SimpleNamespace(dampers=[SimpleNamespace(label="a", table=lambda: motion_table([body]))]))
     cells = re.findall("<td[^>]*>(.*?)</td>", html.replace("\u00a0", " "))
     assert cells == ["body2", "Type I", "30 to 31 Hz"] == re.split(" {2,}", describe_motions([body])[1])
 

@@ -45,6 +45,7 @@ from rig.core.base.palette import (
     location_styles,
     recording_styles,
 )
+from rig.core.numerics.runs import runs_of
 from rig.core.results import format_decimals, format_frequencies, format_percent
 from rig.core.results.response import Response
 from rig.core.scene.excitation import FORCE_TOLERANCE
@@ -390,10 +391,8 @@ def value_strips(f: NDArray[np.float64], selected: NDArray[np.bool_], color: str
     [(0.5, 2.5), (3.5, 4.0)]
     """
     middle = np.concatenate([f[:1], (f[1:] + f[:-1]) / 2.0, f[-1:]])
-    steps = np.diff(np.concatenate([[0], selected.astype(int), [0]]))
-    ends = zip(middle[np.flatnonzero(steps > 0)], middle[np.flatnonzero(steps < 0)], strict=True)
-    rounded = ((float(f"{a:.8g}"), float(f"{b:.8g}")) for a, b in ends)
-    return [Strip((min(a, b), max(a, b)), color) for a, b in rounded]
+    ends = [sorted(float(f"{end:.8g}") for end in middle[[start, stop]]) for start, stop in runs_of(selected)]
+    return [Strip((low, high), color) for low, high in ends]
 
 
 def _percent_limits(curves: Sequence[Curve]) -> tuple[float, float]:

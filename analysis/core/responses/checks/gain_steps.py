@@ -12,7 +12,7 @@ References
    Transactions on Automatic Control 8 (1963) 56-58.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,6 +55,8 @@ _TRIALS: tuple[Array, ComplexArray] = (
     np.linspace(-5.0, 5.0, 101),
     np.asarray(1j * np.pi * np.linspace(-1.0, 1.0, 101), dtype=np.complex128),
 )
+# Number of positions that are fitted together: their matrices take 7 MB.
+_BATCH = 32
 # Factors by which their spacing is reduced around the best ratio.
 _REFINEMENTS = (0.02, 0.004, 0.0008)
 
@@ -101,7 +103,7 @@ def step_warnings(response: Response, is_linear: bool) -> list[str]:
                 warnings.append(describe_change(name, np.nan, _place(frequency[positions[largest]])))
             continue
         others = [
-            _fit_ratio(frequency, curve, step.position, excluded, _trials_like(step)).log_ratio
+            _fit_ratios(frequency, curve, np.array([step.position]), excluded, _trials_like(step))[0].item()
             for curve in np.delete(curves, k, axis=0)
         ]
         if all(abs(other) < _MAX_COMMON * abs(step.log_ratio) for other in others):
@@ -133,29 +135,37 @@ def _best_step(
     frequency: Array, curve: ComplexArray, residuals: Array, positions: NDArray[np.int64], excluded: int
 ) -> _Step | None:
     """Return the step with the smallest remaining residual; None if the residual remains too large."""
-    candidates = positions[residuals > _MIN_RESIDUAL]
-    steps = [
-        _fit_ratio(frequency, curve, position, excluded, trials)
-        for trials in _TRIALS
-        for position in candidates.tolist()
-    ]
+    candidates = np.flatnonzero(residuals > _MIN_RESIDUAL)
+    steps = []
+    for rows in (candidates[first : first + _BATCH] for first in range(0, candidates.size, _BATCH)):
+        for trials in _TRIALS:
+            log_ratio, remaining = _fit_ratios(frequency, curve, positions[rows], excluded, trials)
+            best = int(np.argmin(remaining))
+            row = rows[best]
+            steps.append(
+                _Step(int(positions[row]), log_ratio[best].item(), float(residuals[row]), float(remaining[best]))
+            )
     step = min(steps, key=lambda step: step.remaining, default=None)
     is_significant = step and step.remaining < min(_MAX_REMAINING_FRACTION * step.residual, _MAX_REMAINING)
     return step if is_significant else None
 
 
-def _fit_ratio(
-    frequency: Array, curve: ComplexArray, position: int, excluded: int, trials: Array | ComplexArray
-) -> _Step:
-    """Fit the ratio of the gains after and before a position of the sweep, or the change of the delay."""
-    positions, unit = np.array([position]), 1j if np.iscomplexobj(trials) else 1.0
-    residual = float(_residuals(frequency, curve, positions, excluded, 0.0)[0])
+def _fit_ratios(
+    frequency: Array, curve: ComplexArray, positions: NDArray[np.int64], excluded: int, trials: Array | ComplexArray
+) -> tuple[Array | ComplexArray, Array]:
+    """Fit the ratio of the gains after and before each position of the sweep, or the change of the delay.
+
+    Returns the logarithms of the ratios, and the remaining residuals.
+    """
+    unit, rows = 1j if np.iscomplexobj(trials) else 1.0, np.arange(positions.size)
+    log_ratios: Any = np.tile(trials, (positions.size, 1))  # real or complex
     for spacing in (*_REFINEMENTS, 0.0):
-        remaining = _residuals(frequency, curve, np.repeat(positions, trials.size), excluded, trials)
-        best = int(np.argmin(remaining))
-        log_ratio, smallest = trials[best], float(remaining[best])
-        trials = log_ratio + spacing * unit * np.arange(-5, 6)
-    return _Step(position, log_ratio.item(), residual, smallest)
+        repeated = np.repeat(positions, log_ratios.shape[1])
+        remaining = _residuals(frequency, curve, repeated, excluded, log_ratios).reshape(log_ratios.shape)
+        best = np.argmin(remaining, axis=1)
+        log_ratio, smallest = log_ratios[rows, best], remaining[rows, best]
+        log_ratios = log_ratio[:, None] + spacing * unit * np.arange(-5, 6)
+    return log_ratio, smallest
 
 
 def _points(position: NDArray[np.int64], excluded: int) -> NDArray[np.int64]:
@@ -180,19 +190,40 @@ def _residuals(
     ratios = ratios.real + 1j * ratios.imag * f / frequency[positions][:, None]
     values = curve[points] / np.exp(np.where(np.arange(2 * _POINTS_PER_SIDE) < _POINTS_PER_SIDE, 0.0, ratios))
     centered = f - f.mean(axis=1, keepdims=True)
-    powers = (centered / abs(centered).max(axis=1, keepdims=True))[:, :, None] ** np.arange(_DEGREE + 1)
+    powers = (centered / abs(centered).max(axis=1, keepdims=True)) ** np.arange(_DEGREE + 1)[:, None, None]
     # Unknowns are the coefficients of numerator and denominator (constant term 1); residuals are relative.
-    relative = 1.0 / abs(values)[:, :, None]
-    terms = np.concatenate([powers * relative, -values[:, :, None] * relative * powers[:, :, 1:]], axis=2)
-    right = values[:, :, None] * relative
+    relative = 1.0 / abs(values)
+    right = values * relative
+    terms = np.asarray(np.concatenate([powers * relative, -right * powers[1:], right[None]]), dtype=np.complex128)
     weight = np.ones(values.shape)
     for _ in range(_ITERATIONS):
-        q, r = np.linalg.qr(terms * weight[:, :, None])
-        # The diagonal term keeps functions of a lower degree solvable.
-        r += 1e-13 * abs(r).max(axis=(1, 2), keepdims=True) * np.eye(r.shape[-1])
-        solution = np.linalg.solve(r, q.conj().mT @ (right * weight[:, :, None]))
-        denominator = 1.0 + (powers[:, :, 1:] @ solution[:, _DEGREE + 1 :])[:, :, 0]
+        columns: ComplexArray = terms * weight
+        triangle = _orthogonalize(columns)[-_DEGREE:]
+        # Back substitution of the coefficients of the denominator.
+        coefficients = np.zeros((0, len(values)), dtype=np.complex128)
+        for length, *products, right_product in reversed(triangle):
+            known = np.sum(np.array(products).reshape(coefficients.shape) * coefficients, axis=0)
+            coefficients = np.concatenate([[(right_product - known) / length], coefficients])
+        denominator = 1.0 + np.sum(coefficients[:, :, None] * powers[1:], axis=0)
         size = abs(denominator)
+        residual = columns[-1] / (weight * denominator)
         weight = 1.0 / np.maximum(size, 1e-3 * size.max(axis=1, keepdims=True))
-    residual = (right - terms @ solution)[:, :, 0] / denominator
     return np.asarray(np.sqrt(np.mean(abs(residual) ** 2, axis=1)))
+
+
+def _orthogonalize(columns: ComplexArray) -> list[ComplexArray]:
+    """Orthogonalize columns by the modified Gram-Schmidt method; all but the last get the length 1.
+
+    `columns`: shape (columns, systems, rows). numpy's QR decomposition of many small systems takes twice as long.
+    Returns the rows of the triangular matrix, each of the shape (columns from the diagonal on, systems).
+    """
+    triangle = []
+    largest = np.linalg.norm(columns[:-1], axis=2).max(axis=0)
+    for k in range(len(columns) - 1):
+        # The added term keeps functions of a lower degree solvable.
+        length = np.linalg.norm(columns[k], axis=1) + 1e-13 * largest
+        columns[k] /= length[:, None]
+        products = np.einsum("sr,csr->cs", columns[k].conj(), columns[k + 1 :])
+        columns[k + 1 :] -= products[:, :, None] * columns[k]
+        triangle.append(np.concatenate([length[None], products]))
+    return triangle

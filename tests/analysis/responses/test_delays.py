@@ -63,6 +63,16 @@ def test_delay_of_single_response_is_ambiguous() -> None:
     assert "or the force early" in warning
 
 
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_rounding_errors_change_no_delay(seed: int) -> None:
+    # The phase of a single late curve looks like a pole far above the band.
+    [curve] = curves_of(compliances(STIFFNESS_PROPORTIONAL), {1: 2e-3})[:1]
+    rounding = 1e-13 * np.random.default_rng(seed).standard_normal(FREQUENCY.size)
+    variants = [curve, curve.scaled(1.0 + rounding)]
+    first, second = (delayed_channels([each], "the force") for each in variants)
+    assert first == second and first.startswith("body1 seems to be (2.0")
+
+
 def test_delay_is_determined_by_few_points() -> None:
     frequency = np.linspace(8.0, 64.0, 24)
     curves = curves_of(compliances(STIFFNESS_PROPORTIONAL, frequency), {2: 2e-3}, frequency)

@@ -38,6 +38,9 @@ _MAX_UNCERTAINTY = 0.5
 # Relative model errors that select poles; a larger one is tried if the misfit exceeds this multiple of its expectation.
 _MODEL_ERRORS = (0.001, 0.01, 0.05)
 _MAX_MISFIT_RATIO = 4.0
+# Largest magnitude of a pole, relative to the highest frequency: rounding errors determine poles far above the band,
+# which the residual terms represent.
+_MAX_POLE_RATIO = 2.0
 # Smallest standard deviation of a curve from its model, relative to the curve.
 _MODEL_ERROR = 0.005
 # Smallest standard deviation of the phases of residues [rad], due to modes outside the band and phases of sensors.
@@ -196,7 +199,8 @@ def _common_poles(frequency: Array, value: ComplexArray, error: Array) -> Comple
         models.append((float(np.sum(abs(relative) ** 2)), model.poles))
         if model.misfit < _MAX_MISFIT_RATIO * curves.degrees_of_freedom(model.poles.size):
             break
-    return min(models, key=lambda model: model[0])[1]
+    poles = min(models, key=lambda model: model[0])[1]
+    return poles[abs(poles) < _MAX_POLE_RATIO * 2.0 * np.pi * frequency.max()]
 
 
 def _estimate_delay(frequency: Array, value: ComplexArray, error: Array, poles: ComplexArray) -> _Delay | None:

@@ -234,7 +234,7 @@ class MatchingPursuit:
             self._add(other, 1.0)
         deviation = float(noise[self.window_of(jump)])
         prior = Deviations(deviation, *self.prior)
-        # The same differences for all fits, because their residuals are compared.
+        # All fits are evaluated over the same differences, because their residuals are compared.
         shared_range = range_of(group, model, self.residual.size)
         fits = [
             fit_within(self.residual, model, [replace(jump, time=jump.time + start), *others], shared_range, prior)

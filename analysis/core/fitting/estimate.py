@@ -67,7 +67,7 @@ class Estimate:
     factor: Array
     # mean square of the normalized residuals; 1 if they are consistent with the stated uncertainties
     variance: float
-    # number of columns of `factor` for random errors; the others belong to errors with limits
+    # number of columns of `factor` for random errors; the other columns belong to errors with limits
     n_random: int
 
     def expanded(self, derivatives: Array | None = None) -> Array:

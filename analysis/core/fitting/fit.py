@@ -28,7 +28,7 @@ from rig.core.scene.loading import SceneLike, scene_of
 from rig.core.scene.scene import Scene
 from rig.core.system.structural_model import structural_model
 
-# Printed descriptions of statuses (`Fitted.status`); the others are printed as they are.
+# Printed descriptions of statuses (`Fitted.status`); other statuses are printed as they are.
 STATUS_TEXTS = {"roughly": "roughly determined"}
 # Usual relative tolerance of the quartz of a sample clock.
 _USUAL_CLOCK_TOLERANCE = 20e-6

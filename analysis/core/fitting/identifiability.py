@@ -56,7 +56,7 @@ def damping_by_level(problem: Problem, estimated: Estimate) -> tuple[LevelDampin
         acceleration = float(((2.0 * np.pi * curves.frequency) ** 2 * curves.level * abs(curves.value)).max())
         value, expanded = (np.where(is_determined, each, np.nan) for each in (value, value * relative_expanded))
         by_level.append(LevelDamping(curves.label, group.orbits is not None, acceleration, keys, value, expanded))
-    # This evaluation restores the orbits of the estimate.
+    # This evaluation of the residuals restores the orbits of the estimate.
     problem.residual(estimated.x, problem.groups)
     return tuple(by_level)
 

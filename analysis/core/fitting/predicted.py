@@ -40,7 +40,7 @@ def scene_of_test(model: Scene, curves: Curves) -> Scene:
             )
         remaining.remove(match)
         dampers.append(match[1].with_valid(locked=damper.locked))
-    # Both scenes are valid and have the same bodies, so the result is valid.
+    # Both scenes are valid and have the same bodies, so the combined scene is valid.
     return model.with_valid(shaker=recorded.shaker, test=recorded.test, dampers=tuple(dampers), channels=None)
 
 

@@ -41,7 +41,7 @@ _LEVEL_CORRECTIONS = 2
 _MAX_SECANT_STEPS = 8
 # Smallest relative secant step.
 _MIN_RELATIVE_STEP = 1e-6
-# Largest relative error of the level after the secant steps; the rest is corrected linearly.
+# Largest relative error of the level after the secant steps; the remaining error is corrected linearly.
 _LEVEL_TOLERANCE = 1e-5
 # Maximum number of drives at which an orbit is searched. Each gives a level closer to the required one.
 _MAX_SEARCHES = 5

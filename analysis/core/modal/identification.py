@@ -127,14 +127,14 @@ def identify(frfs: Response | Sequence[Response], count: int | None = None) -> M
     poles, residue = fitted_poles.poles[accepted], fitted_poles.residue[:, accepted]
     # A clock error changes all frequencies by the same factor, because it is common to all lines.
     clock = max(curve.uncertainty.clock for curve in frfs)
-    clock_error = standard_of_limit(clock * frequency[accepted])
+    clock_std = standard_of_limit(clock * frequency[accepted])
     residuals = _residual_terms(measured.frequency, fitted_poles.value, poles, residue)
     result = Modes(
         frequency=frequency[accepted],
-        frequency_std=np.hypot(fitted_poles.frequency_std[accepted], clock_error),
+        frequency_std=np.hypot(fitted_poles.frequency_std[accepted], clock_std),
         damping=-poles.real / abs(poles),
         damping_std=fitted_poles.damping_std[accepted],
-        shape_std=_shape_errors(curves, poles, residue),
+        shape_std=_shape_uncertainties(curves, poles, residue),
         residue=residue,
         responses=tuple(curve.response for curve in curves),
         chart=tuple(chart),
@@ -161,12 +161,12 @@ def _modes_of_band(curves: Sequence[Response], fitted: FittedModes) -> Identifie
     refinement = None if fitted.model_error else _refine(weighted, model, curves)
     included: tuple[str, ...] = ()
     if refinement is None:
-        random_errors = pole_errors(weighted, model)
+        random_std = pole_errors(weighted, model)
     else:
         model, included = refinement.model, refinement.included
-        random_errors = refined_pole_errors(model.poles, refinement.covariance)
+        random_std = refined_pole_errors(model.poles, refinement.covariance)
     systematic = map(standard_of_limit, systematic_pole_errors(curves, model.poles, included))
-    errors = [np.hypot(*each) for each in zip(random_errors, systematic, strict=True)]
+    errors = [np.hypot(*each) for each in zip(random_std, systematic, strict=True)]
     accepted = are_in_band(weighted, model.poles)
     return IdentifiedPoles(
         model.poles[accepted],
@@ -180,7 +180,7 @@ def _modes_of_band(curves: Sequence[Response], fitted: FittedModes) -> Identifie
     )
 
 
-def _shape_errors(curves: Sequence[Response], poles: ComplexArray, residue: ComplexArray) -> Array:
+def _shape_uncertainties(curves: Sequence[Response], poles: ComplexArray, residue: ComplexArray) -> Array:
     """Return standard uncertainties of shapes with largest element 1, from curves at resonance; (responses, modes)."""
     # Errors of the reference, of the clock and of common readings cancel in the ratio of two curves.
     frequency: Array = np.asarray(abs(poles) / (2 * np.pi), dtype=float)
@@ -221,6 +221,7 @@ def _residual_terms(frequency: Array, value: ComplexArray, poles: ComplexArray, 
     scale = abs(terms).max(axis=0)
     factors = []
     for row, curve in zip(remainder, value, strict=True):
+        # Relative errors are minimized; the lower limit bounds the weight of points near zero, such as antiresonances.
         weight = 1.0 / np.maximum(abs(curve), 1e-6 * abs(curve).max())
         columns, target = (
             np.concatenate([part.real, part.imag]) for part in (terms / scale * weight[:, None], row * weight)

@@ -36,7 +36,7 @@ class BodyShapes(NamedTuple):
 
     names: tuple[str, ...]
     shapes: ComplexArray  # shape (bodies, modes)
-    errors: Array  # shape (bodies, modes)
+    errors: Array  # standard uncertainties, shape (bodies, modes)
     places: tuple[str, ...] = ()  # locations of the sensors: "body 2"
 
     def with_signs_of(self, reference: BodyShapes) -> BodyShapes:

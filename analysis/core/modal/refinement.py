@@ -73,7 +73,8 @@ def refine(curves: Curves, model: ModalModel, errors: Covariance, line_deviation
     covariance = scatter * max(1.0, misfit / curves.degrees_of_freedom(model.poles.size))
     included: tuple[str, ...] = (MODEL,)
     if errors.reference is not None:
-        # Noise of the reference biases all responses, perhaps differently over a peak: a rectangular distribution.
+        # Noise of the reference biases all responses by at most this ratio, perhaps differently over a peak. The shift
+        # of a pole is therefore a limit with a rectangular distribution.
         bias = curves.value.T * errors.reference[:, None]
         shift = standard_of_limit(np.einsum("kap,ka->p", weights.conj(), bias).real)
         covariance, included = covariance + np.outer(shift, shift), (MODEL, REFERENCE_NOISE)

@@ -78,7 +78,7 @@ def are_narrower_than_resolution(curves: Curves, poles: ComplexArray) -> NDArray
 
 def initial_model(curves: Curves, initial: ComplexArray) -> ModalModel:
     """Fit a model with those poles of `initial` [rad/s] that are significant and not computational."""
-    # Most insignificant poles are recognized after few evaluations; only the fit of the others is completed.
+    # Most insignificant poles are recognized after few evaluations; only the fits of the other poles are completed.
     approximate = _fit_without_computational_poles(curves, initial, _APPROXIMATE_EVALUATIONS)
     poles, _ = _significant_poles(curves, approximate)
     return _prune(curves, _fit_without_computational_poles(curves, poles, MAX_EVALUATIONS))

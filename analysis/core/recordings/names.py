@@ -175,7 +175,7 @@ def excitation_text(rec: Recording) -> str:
 
 
 def validity_texts(rec: Recording) -> list[str]:
-    """Describe what limits the validity of responses: nonlinear parts, and impacts or samples with faults."""
+    """Describe the causes that limit the validity of responses: nonlinear parts, and impacts or samples with faults."""
     texts = ["nonlinear, valid only for this kind and level of excitation"] * (not rec.scene.is_linear)
     if faulty := faults_of_impacts(rec.markers):
         omitted = ", clipped samples omitted" * bool(rec.overloads)

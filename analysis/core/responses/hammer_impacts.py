@@ -28,7 +28,7 @@ _MAX_REST_RATIO = 2e-3
 _DETECTION_SIGMAS = 4.0
 # Smallest accepted ratio of the largest force within an impact's marker to the largest force until the next impact.
 _MIN_MARKED_RATIO = 0.5
-# Smallest detected rebound, relative to the force within the marker; smaller ones are negligible in the spectrum.
+# Smallest detected rebound, relative to the force within the marker; smaller rebounds are negligible in the spectrum.
 _MIN_REBOUND_RATIO = 0.05
 # The force of a rebound must also be at least this multiple of the noise, the median change between samples.
 _REBOUND_SIGMAS = 8.0

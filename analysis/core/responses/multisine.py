@@ -142,7 +142,7 @@ def best_linear_approximation(
 def _realizations(
     rec: Recording, names: Sequence[str], markers: Sequence[Marker], n_inputs: int
 ) -> tuple[list[list["PeriodSpectra"]], list[str]]:
-    """Return the experiments (one for each input) of complete realizations, and notes on incomplete ones."""
+    """Return the experiments (one for each input) of complete realizations, and notes on incomplete realizations."""
     groups: dict[int, list[Marker]] = {}
     for number, marker in enumerate(markers):
         groups.setdefault(number if n_inputs == 1 else int(marker.fields["realisation"]), []).append(marker)

@@ -31,7 +31,7 @@ from rig.core.results import format_percent
 from rig.core.results.response import Response
 from rig.core.results.uncertainty import UncertaintyBudget
 
-# Smallest length of a used segment, relative to the longest; shorter ones need too many transients.
+# Smallest length of a used segment, relative to the longest; shorter segments need too many transients.
 _MIN_LENGTH_RATIO = 0.25
 # Smallest fraction of a burst in a used segment; otherwise most of its vibration was excited before.
 _MIN_BURST_RATIO = 0.5
@@ -177,7 +177,7 @@ class SegmentFits:
                     n_impacts = 0
                 n_impacts += 1
             for first, last in pairwise([*edges, stop]):
-                # Only a segment with a single impact can be longer.
+                # Only a segment with a single impact can be longer than the limit.
                 if last - first > _MAX_SAMPLES:
                     is_cut, first = True, max(first, impacts.inside(first, last)[0][0] - _MAX_SAMPLES // 4)
                 parts.append((first, min(last, first + _MAX_SAMPLES)))

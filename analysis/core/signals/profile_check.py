@@ -30,7 +30,7 @@ from rig.core.scene.excitation.kind import Chirp
 from rig.core.scene.excitation.profile import limits_drive
 from rig.core.scene.excitation.profile_control import ProfileControl
 
-# Distance from its limit below which a channel limits the drive [dB], if the control is below the profile.
+# Distance from its limit below which a channel limits the drive [dB], if the control channels are below the profile.
 _NOTCH_DB = 1.5
 # An excess below this value [dB] is noise.
 _SMALLEST_EXCESS_DB = 0.05

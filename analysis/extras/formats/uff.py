@@ -67,7 +67,7 @@ def _write_pieces(file: BinaryIO, fields: dict[str, Any], count: int, pieces: It
     # The ninth line begins with the data type and the number of samples, in ten columns each.
     lines[8] = b"%b%10d%b" % (lines[8][:10], count, lines[8][20:])
     file.writelines(lines)
-    # The line ending that pyuff wrote: the rest of the delimiter "    -1".
+    # The line ending that pyuff wrote: the remainder of the delimiter "    -1".
     line_end = delimiter.lstrip(b" -1")
     for samples in pieces:
         full, rest = divmod(samples.size, 4)

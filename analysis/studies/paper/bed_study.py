@@ -28,7 +28,8 @@ from rig.extras.bed_response.steady_bed import SteadyBed, steady_grains, steady_
 from rig.extras.grains.lammps_library import lammps_version
 from rig.extras.grains.packing import bed_top, settled_positions
 
-#: Clearances [m] for accelerations [g]; infinite: no ceiling, as are omitted ones above the mass's flight height.
+#: Clearances [m] for accelerations [g]; infinite: no ceiling. Clearances above the flight height of the mass are
+#: omitted, because they are equivalent to no ceiling.
 SETTINGS = {
     0.9: (math.inf,),
     1.3: (math.inf,),

@@ -65,7 +65,7 @@ class FittedContact(NamedTuple):
 
     restitution: float
     duration: float  # s
-    share: float  # share of the bed's mass that moves; the rest is fixed to the body
+    share: float  # share of the bed's mass that moves; the remaining mass is fixed to the body
 
 
 def contacts() -> list[ContactPoint]:

@@ -162,7 +162,7 @@ class _Curve:
         return (self.points[-1].frequency - self._test.from_) * self._forward / self._band
 
     def _add(self, point: Point) -> Generator[Array, Array, bool]:
-        """Measure at a settled point next to the last one, and add it to the curve; return whether it was steady."""
+        """Measure at a settled point next to the last point, and add it to the curve; return whether it was steady."""
         before = self._tangent, self._chord, self._bend, self.folds
         if self.points:
             change = self._scaled(self.points[-1], point)

@@ -22,7 +22,8 @@ from rig.core.scene.scene import Scene
 
 # Averaged spectra for the first update at a level, and for the levels of the ramp: a scatter of about 1 dB.
 _FIRST_AVERAGES = 16
-# Fraction of lines within the tolerance that continues the ramp: few averages put the others outside by chance.
+# Fraction of lines within the tolerance that continues the ramp: with few averages, the other lines are outside by
+# chance.
 _MIN_WITHIN = 0.9
 # Maximum number of updates at a level of the ramp; more are needed only if the spectrum cannot be reached.
 _MAX_UPDATES = 12
@@ -180,7 +181,7 @@ class RandomControlProcedure(Procedure["RandomControl"]):
             station.warn(f"the output clipped {control.clipped} drive samples. Lower the profile.")
 
     def check(self, test: RandomControl, scene: Scene, channels: Sequence[ChannelInfo]) -> Iterable[str]:
-        """Name lines that are too coarse, limits that end early, and what precedes the full level."""
+        """Report a spacing of lines that is too wide, limits that end early, and the levels before the full level."""
         yield from line_warnings(test, scene, channels)
         levels = ", ".join(f"{level:g}" for level in test.ramp)
         yield f"{test.duration:g} s at full level, after the identification and levels of {levels} dB"

@@ -32,7 +32,7 @@ _REST_PER_INTERVAL = 0.25
 
 
 def _remedy(deviations: Sequence[float]) -> str:
-    """Return what to do about pulses with these deviations, in their order."""
+    """Return the remedy for pulses with these deviations, in their order."""
     if deviations[-1] > _MIN_DIVERGENCE_RATIO * deviations[0]:
         return (
             "The deviation grows from pulse to pulse: the structure vibrates longer than test.interval. Give a longer "
@@ -122,7 +122,7 @@ class ShockProcedure(Procedure["Shock"]):
             station.warn(f"{'; '.join(outside)}. {_remedy(deviations)}")
 
     def waits(self, test: Shock, scene: Scene) -> float:
-        """Return the expected time of the identification, and of the rest at the end [s]."""
+        """Return the expected time of the identification, and of the time without drive at the end [s]."""
         return (EXPECTED_PERIODS + _REST_PER_INTERVAL) * test.interval
 
     def stored(self, test: Shock) -> float:

@@ -46,7 +46,7 @@ _MAX_INCREASE = log(1.5)
 _IDENTIFICATION_S = 2.0
 # Shortest period of the identification, in periods of the lowest frequency.
 _IDENTIFICATION_PERIODS = 8.0
-# End of the identification above the band, relative to the sample rate: the converter attenuates the rest.
+# End of the identification above the band, relative to the sample rate: the converter attenuates higher frequencies.
 _HIGHEST_RATIO = 0.45
 # The sweep begins when the amplitudes deviate by less than this value [dB] ...
 _START_DB = 0.5

@@ -9,7 +9,7 @@ if TYPE_CHECKING:
 
 
 def instantaneous_impact_remedy(scene: Scene) -> str:
-    """Return what to set if a damper of the scene has impacts of zero duration; otherwise ''."""
+    """Return the setting to change if a damper of the scene has impacts of zero duration; otherwise ''."""
     for number, damper in enumerate(scene.dampers, start=1):
         if damper.impacts_instantaneously:
             return (

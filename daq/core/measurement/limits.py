@@ -178,7 +178,7 @@ class ControlLoss:
         return f"{overload} The test ended: {reason}"
 
     def _remedy(self, row: int, now: int) -> str:
-        """Return the cause of the overload of a channel if it is a bias, and what to change."""
+        """Return the cause of the overload of a channel if it is a bias, and the setting to change."""
         level = self._scene.level_key or "excitation"
         return bias_overload(self._scene, row, now / self._channels[row].rate) or (
             f"Choose a lower {level}, a larger converter range or a lower sensitivity."

@@ -200,7 +200,7 @@ class _Assessment:
         self.key, self.level, self.level_unit = highest_level(scene)
 
     def foresight(self, impact_remedy: str) -> Foresight:
-        """Return the prediction; `impact_remedy`: what to set if impacts of zero duration overload a sensor."""
+        """Return the prediction; `impact_remedy`: setting to change if impacts of zero duration overload a sensor."""
         expectations = (*self._channels(), *self._sensors(), *self._outputs(), *self._loads())
         dampers_fly = any(any(part.impact_times) for part in self.unlimited_test.parts)
         by_ratio_to_limit = sorted(expectations, key=lambda row: row.driven_share)

@@ -45,7 +45,7 @@ class Extremes:
         return largest
 
     def update(self, first: int, values: Array, largest: Array) -> None:
-        """Update with the next values, whose largest magnitudes are known; only rows with a larger one are searched."""
+        """Update with the next values, of known largest magnitudes; only rows with a larger value are searched."""
         for row in np.flatnonzero(largest > self.magnitude):
             self.magnitude[row] = largest[row]
             self.sample[row] = first + int(np.abs(values[row]).argmax())

@@ -106,7 +106,7 @@ class Series:
 
     @cached_property
     def stop(self) -> int:
-        """Number of the sample after the last one."""
+        """Number of the sample after the last sample."""
         for chunk in self._chunks[::-1]:
             blocks = self._decoded(int(chunk), self.clock)
             if blocks:

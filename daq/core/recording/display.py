@@ -33,7 +33,7 @@ _HALF_LENGTH = 8
 _KAISER_BETA = 6.8
 # Cutoff frequency (-6 dB) of the filter, as a ratio to the display rate.
 _CUTOFF = 0.385
-# Maximum number of multiplications of a product: OpenBLAS divides larger ones among threads, which wait longer.
+# Maximum number of multiplications of a product: OpenBLAS divides a larger product among threads, which wait longer.
 _MAX_PRODUCT = 2**18
 
 _RULE = "=" * 80

@@ -125,7 +125,7 @@ class Marker:
 
     @property
     def stop(self) -> int:
-        """Number of the sample after the last one, for slices.
+        """Number of the sample after the last sample, for slices.
 
         >>> marker = Marker("measure", 100, 199)
         >>> marker.end, marker.stop

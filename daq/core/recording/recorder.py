@@ -364,7 +364,7 @@ class Recorder:
         group_end = (number + 1) * self._group_samples
         self._write_markers(group_end)
         if raw is not None:
-            # Each channel has its own chunk, so a reader of one channel need not decode the others.
+            # Each channel has its own chunk, so a reader of one channel need not decode the other channels.
             self._chunk_count += self._file.add_chunk_per_channel(
                 self._blocks(raw, self._topics), self._samples_compressor
             )

@@ -47,7 +47,7 @@ class SampleBlock(NamedTuple):
 
     @property
     def stop(self) -> int:
-        """Number of the sample after the last one."""
+        """Number of the sample after the last sample."""
         return self.first_sample + self.samples.size
 
     @property

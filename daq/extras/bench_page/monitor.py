@@ -52,7 +52,7 @@ class History:
             self._values[:, np.arange(first - missing, first) % length] = 0.0
         stop, values = first + values.shape[1], values[:, -length:]
         self._values[:, np.arange(stop - values.shape[1], stop) % length] = values
-        # Last, because another thread reads the samples before `stop`.
+        # `stop` is set last, because another thread reads the samples before `stop`.
         self.stop = stop
 
     def last(self, samples: int) -> Array:

@@ -118,7 +118,7 @@ class Page:
     def refresh(self) -> bytes:
         """Return the next message: the state and the curves that are due."""
         monitor = self._monitor
-        # First, because a command may be carried out while the state is read.
+        # The number of commands is read first, because a command may be carried out while the state is read.
         content: dict[str, Any] = {"obeyed": self.obeyed, "span": self.span}
         # Locked, because a test can end while the state is read.
         with self._bench.chassis.changed:

@@ -104,7 +104,7 @@ class _Segment:
 
     track: Track
     first_block: int  # first block, by its position in the track
-    stop_block: int  # block after the last one
+    stop_block: int  # block after the last block
 
     def middle(self, block: int) -> int:
         """Return the index of the sample in the middle of a block."""

@@ -192,7 +192,7 @@ def _labview_signals(path: Path, heading: LabviewHeading, stop: int | None, enco
             position - 1 + has_times,
             clock or Clock(channel.rate, channel.start_s),
             # Programs append lines without updating the counts in the header. The count of a channel is therefore used
-            # only if another channel has a larger one.
+            # only if another channel has a larger count.
             table.rows if channel.samples in (-1, stated_samples) else min(channel.samples, table.rows),
         )
         signals.append(replace(signal, start_ns=channel.start_ns))

@@ -71,10 +71,10 @@ def set_value(task: Task, group: str, name: str, value: Any) -> None:
     settings = task.settings.groups[group]
     value = coerce(name, value, settings[name])
     if name == "samp_clk_rate" and task.settings.channels:
-        # This raises an error for an impossible rate.
+        # The call raises an error for an impossible rate.
         task.settings.channels[0].module.coerced_rate(value, output=task.settings.direction == "ao")
     if name == "channels_to_read":
-        task.settings.find(value)  # This raises an error for a missing channel.
+        task.settings.find(value)  # The call raises an error for a missing channel.
     if name.endswith("_buf_size") and value < 0:
         raise invalid_value(f"{name} is {value}. Give 0 or more samples.")
     settings[name] = value

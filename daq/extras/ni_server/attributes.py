@@ -114,7 +114,7 @@ def _of_physical_channel(call: Call, name: str) -> Any:
     port = parse_port(call.fields["physical_channel"])
     chassis = call.instrument.chassis
     module = chassis.devices.module(port.device)
-    module.bench_index(port.direction, port.number)  # This raises an error if the channel does not exist.
+    module.bench_index(port.direction, port.number)  # The lookup raises an error if the channel does not exist.
     attributes: dict[str, Any] = {
         "ai_supported_meas_types": SUPPORTED_TYPES,
         "ai_term_cfgs": sum(TERMINAL_CONFIGURATION_BITS.get(value, 0) for value in module.terminal_configurations),

@@ -173,4 +173,5 @@ def _tick_rate(modules: Sequence[Module]) -> float:
     rates += [module.output_rates for module in modules if module.outputs]
     fastest = max(rate.fastest for rate in rates)
     clock = max((rate.fastest for rate in rates if rate.available), default=fastest)
+    # A ratio that exceeds a whole number by a rounding error is this number.
     return clock * math.ceil(fastest / clock - 1e-9)

@@ -144,7 +144,7 @@ class Law(NamedTuple):
         return any(force is not None and force.slider for force in self.forces)
 
     def regime_for(self, gap: float, speed: float) -> str:
-        """Return the first regime that contains a gap [m] and a speed [m/s], or the one at the start."""
+        """Return the first regime that contains a gap [m] and a speed [m/s], or else the regime at the start."""
         fitting = [
             name
             for name, regime in self.regimes.items()

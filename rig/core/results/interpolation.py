@@ -33,7 +33,7 @@ _MAX_ERROR_RATIO = 0.1
 _MAX_ERROR_IN_UNCERTAINTIES = 3.0
 # Relative error of interpolation with the recommended spacing.
 _GOOD_ERROR_RATIO = 0.01
-# Smallest recommended spacing, relative to the current one; estimates of smaller ones are too uncertain.
+# Smallest recommended spacing, relative to the current spacing; estimates of smaller spacings are too uncertain.
 _MIN_SPACING_RATIO = 0.02
 # A frequency differs from the frequency of a line if their relative difference exceeds this value.
 _SAME_FREQUENCY = 1e-9
@@ -102,7 +102,7 @@ def nearest_lines(frequency: Array, at: Array) -> tuple[NDArray[np.intp], NDArra
 
 def _rational(f: Array, values: ComplexArray, at: Array) -> tuple[ComplexArray, ComplexArray]:
     """Interpolate rows `f`, `values` (n, 2 k + 1) by rational functions at (n,); return values and error weights."""
-    # Every other line is a support point; the others determine the weights of the barycentric form.
+    # Every other line is a support point; the remaining lines determine the weights of the barycentric form.
     support, others = np.arange(0, f.shape[1], 2), np.arange(1, f.shape[1], 2)
     scale = abs(values).max(axis=1, keepdims=True)
     scaled = values / np.where(scale > 0.0, scale, 1.0)

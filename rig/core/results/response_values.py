@@ -176,7 +176,10 @@ class ResponseValues(Result):
         return self.uncertainty.limits
 
     def bound(self, confidence: float = 0.95) -> Array:
-        """Return the radius of the circle in the complex plane that contains the true value."""
+        """Return the radius of the circle around each complex value that contains the true value.
+
+        `confidence`: coverage probability.
+        """
         return np.broadcast_to(self.uncertainty.bound(confidence), self.value.shape).copy()
 
     def expanded(self) -> Array:

@@ -325,13 +325,13 @@ class UncertaintyBudget:
                 _ratio_of([cause for cause in causes if cause.name == name])
                 for name in dict.fromkeys(cause.name for cause in causes)
             ]
-            difference = _common_random_error(*relative)
+            difference = _standard_of_difference(*relative)
             if difference is not None:
                 joined = [replace(c, deviation=difference) if c.evaluation == "A" else c for c in joined]
             return UncertaintyBudget(tuple(joined), shared=max(self.shared, other.shared)).scaled(value / other_value)
 
 
-def _common_random_error(first: UncertaintyBudget, second: UncertaintyBudget) -> Array | None:
+def _standard_of_difference(first: UncertaintyBudget, second: UncertaintyBudget) -> Array | None:
     """Return the standard uncertainty of the difference of two curves from the same readings, otherwise None."""
     joined = None if first.errors is None or second.errors is None else first.errors.joined([second.errors])
     if joined is None or first.scatter is None or second.scatter is None:
@@ -511,7 +511,7 @@ def circle_factor(confidence: float, degrees_of_freedom: Array) -> Array:
     [2.45, 19.97, 2.58]
     """
     if not (isinstance(confidence, float) and 0.0 < confidence < 1.0):
-        raise SceneError(f"confidence: got {confidence}; expected a fraction between 0 and 1, such as 0.95")
+        raise SceneError(f"confidence: got {confidence}; expected a probability between 0 and 1, such as 0.95")
     # Fisher's F with two degrees of freedom of the numerator has a quantile in closed form.
     known = known_degrees(degrees_of_freedom)
     return np.asarray(np.sqrt(known * np.expm1(-2.0 / known * np.log1p(-confidence))))

@@ -479,7 +479,7 @@ def _pint_notation(unit: str) -> str:
 
 @cache
 def _registry() -> Any:
-    # Imported only here because importing Pint takes longer than the rest of loading a scene.
+    # Imported only here because importing Pint takes longer than all other steps of loading a scene.
     import pint
 
     registry: Any = pint.UnitRegistry(None, non_int_type=Fraction)

@@ -249,7 +249,7 @@ def _simulate_sampled(scene: Scene, system: HybridSystem, drive: Array, rate: fl
     intervals = drive.shape[1] - 1
     segment_states = np.concatenate([initial.state, trajectory.state[:-1]])
     inputs, ns = len(system.inputs), system.states
-    # First-order hold: the drive changes by this difference within a segment.
+    # First-order hold: this is the change of the drive within a segment.
     segment_states[:, ns + inputs : ns + 2 * inputs] = np.diff(drive, axis=1).T
     durations = np.full(intervals, 1.0 / rate)
     segment_starts = np.arange(intervals) / rate

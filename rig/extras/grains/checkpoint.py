@@ -19,7 +19,7 @@ _PLAIN_ARRAYS = ("rows", "contact", "events")
 
 
 def write_checkpoint(path: Path, settings: Mapping[str, Any], state: GrainsState) -> None:
-    """Write a checkpoint and replace the previous one atomically.
+    """Write a checkpoint, and replace the previous checkpoint atomically.
 
     `settings`: all parameters of the run, with their names in messages. Raises `ShotrigError` if the file cannot be
     written.

@@ -34,7 +34,7 @@ _COUNT_VARIABLES = ("PMI_SIZE", "OMPI_COMM_WORLD_SIZE")
 _world: Any = None
 #: Communicator of the ranks on this machine.
 _machine: Any = None
-#: This rank's parts of shared objects, by the object's number.
+#: Parts of shared objects on this rank, by the number of the object.
 _parts: dict[int, Any] = {}
 _numbers: Iterator[int] = count()
 #: Numbers of shared objects that the first rank has released.
@@ -58,7 +58,7 @@ def ranks_on_machine() -> int:
 
 
 def join() -> None:
-    """Join ranks started by mpiexec, if any. The first rank returns; the others serve it, and end when it ends.
+    """Join ranks started by mpiexec, if any. The first rank returns; the other ranks serve it, and end when it ends.
 
     Raises `SceneError` if mpiexec belongs to a different MPI implementation.
     """

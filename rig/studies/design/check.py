@@ -15,7 +15,8 @@ from rig.core.steady_response.frequency_response import frequency_response
 from rig.studies.design.choice import Objective, Trial
 from rig.studies.design.worst_peak import Peak
 
-#: Number of successive test frequencies for the motion at a peak, each from the previous one; the last is the peak.
+#: Number of successive test frequencies for the motion at a peak, each continued from the previous frequency; the last
+#: frequency is that of the peak.
 APPROACH_FREQUENCIES = 3
 #: A motion is in steady state if it changes by at most this fraction.
 STEADY_TOLERANCE = 1e-4
@@ -125,7 +126,7 @@ def _expected_result(scene_and_peak: tuple[Scene, Peak]) -> Expected:
         -APPROACH_FREQUENCIES:
     ]
     magnitudes, closing_speed, is_steady = [], np.zeros(len(scene.dampers)), True
-    # Only a force is controlled, and has a tolerance.
+    # Only a force level is controlled, and has a tolerance.
     tolerances = (0.0, -FORCE_TOLERANCE, FORCE_TOLERANCE) if scene.level_key == "force" else (0.0,)
     for deviation in tolerances:
         controlled = scene.replace(channels=None, test=test.at_level((1.0 + deviation) * peak.level))

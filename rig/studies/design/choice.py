@@ -143,7 +143,7 @@ class Choice:
         return self.masses.index(max(self.masses))
 
     def without_lightest(self) -> Choice:
-        """Remove the lightest damper, and distribute its mass over the others in proportion to their masses.
+        """Remove the lightest damper, and distribute its mass over the other dampers in proportion to their masses.
 
         >>> print(Choice((3, 4), (0.0002, 0.0698), (8e-3, 7e-3)).without_lightest())
         70 g in body 4, clearance 7 mm

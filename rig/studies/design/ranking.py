@@ -6,7 +6,7 @@ import numpy as np
 
 from rig.studies.design.choice import Trial
 
-#: Largest difference of peaks that are ranked as equal [dB]: grids and averages resolve no smaller one.
+#: Largest difference of peaks that are ranked as equal [dB]: grids and averages do not resolve a smaller difference.
 EQUAL_DB = 0.05
 #: `EQUAL_DB` as a ratio of peaks.
 EQUAL_RATIO = 10.0 ** (EQUAL_DB / 20.0)

@@ -22,10 +22,11 @@ from rig.studies.design.worst_peak import Peak
 GRID_MASS_RATIOS = (1.0, 0.5, 0.25)
 #: Number of clearances of the grid, logarithmically spaced; the best clearance is refined afterwards.
 GRID_CLEARANCES = 10
-#: Share of the grid computed at all levels, for the estimate of the progress; a lower bound excludes the rest.
+#: Share of the grid that is computed at all levels, for the estimate of the progress; a lower bound excludes the other
+#: choices.
 TYPICAL_COMPLETED_SHARE = 0.4
-#: Choices of each mass that are computed concurrently; more would be wasted, because the search excludes the rest of a
-#: row as soon as a lower bound exceeds the best peak.
+#: Choices of each mass that are computed concurrently; more would be wasted, because the search excludes the remaining
+#: choices of a row as soon as a lower bound exceeds the best peak.
 LOOKAHEAD = 3
 #: Maximum number of trials around the best clearance of a location and mass; the peak is flat there.
 MAX_REFINEMENT_TRIALS = 8

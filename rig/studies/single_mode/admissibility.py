@@ -24,6 +24,14 @@ from rig.studies.single_mode.periodic_motion import (
 
 # A gap in units of g/w^2, or an acceleration in g, may be a rounding error of zero up to this value.
 MAX_ROUNDING_ERROR = 1e-9
+# Samples of a phase in addition to those of its cycles; a phase may be shorter than a cycle.
+_MIN_SAMPLES = 48
+# Samples per cycle of the faster oscillation: slopes of opposite sign then enclose each extremum.
+_SAMPLES_PER_CYCLE = 24
+# Quadrature nodes of a phase, and of each cycle in it. The integrand is analytic, so the error of the quadrature
+# decreases exponentially with their number.
+_MIN_NODES = 32
+_NODES_PER_CYCLE = 8
 
 
 @dataclass(frozen=True)
@@ -75,8 +83,7 @@ def extremes(batch: Batch, index: int, quantity: Quantity) -> tuple[Array, Array
     """
     motion = batch.motion
     phase = motion.phases[index]
-    # At least 24 samples per cycle of the faster oscillation.
-    samples = 48 + int(24 * max(1.0, float(np.max(1 / batch.parameters.ratio))))
+    samples = _MIN_SAMPLES + int(_SAMPLES_PER_CYCLE * max(1.0, float(np.max(1 / batch.parameters.ratio))))
     t = np.linspace(0.0, 1.0, samples)[:, None] * phase.duration
     value, slope = quantity(motion, phase, t)
     low, high = value.min(axis=0), value.max(axis=0)
@@ -141,7 +148,7 @@ def first_harmonic(batch: Batch) -> NDArray[np.complex128]:
     """
     motion = batch.motion
     fastest = max(1.0, float(np.max(1 / batch.parameters.ratio)))
-    nodes, weights = np.polynomial.legendre.leggauss(32 + int(8 * fastest))
+    nodes, weights = np.polynomial.legendre.leggauss(_MIN_NODES + int(_NODES_PER_CYCLE * fastest))
     total = np.zeros(batch.unknowns.shape[1], dtype=np.complex128)
     for phase in motion.phases:
         t = 0.5 * (nodes[:, None] + 1) * phase.duration

@@ -84,7 +84,7 @@ def test_interpolated_tolerance_is_that_of_lines() -> None:
 
 @pytest.mark.parametrize("confidence", [95, 1.0, 0.0, "95 %"])
 def test_confidence_must_be_a_fraction(confidence: Any) -> None:
-    with pytest.raises(SceneError, match=r"confidence: got .*expected a fraction between 0 and 1"):
+    with pytest.raises(SceneError, match=r"confidence: got .*expected a probability between 0 and 1"):
         measured(0.3, 1e-3).bound(confidence)
 
 

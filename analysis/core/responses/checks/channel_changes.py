@@ -29,7 +29,7 @@ from rig.core.results import format_number
 _MIN_PARTS = 4
 # Minimum number of parts on either side of a step: a scatter needs several values.
 _MIN_SIDE = 2
-# Minimum number of parts without the part of the step: of fewer, the scatter of the others is too uncertain.
+# Minimum number of parts if the part with the step is excluded: of fewer parts, the scatter is too uncertain.
 _MIN_PARTS_WITHOUT_STEP = 6
 # Minimum number of periods of a steady response to one input: without a change, the periods are equal except for noise.
 _MIN_PERIODS = 2
@@ -139,7 +139,7 @@ def change_warnings(rec: Recording, parts: Parts, channels: Sequence[str]) -> li
     compared = _Compared.of(x, y, frequency, test)
     delays = compared.delay_changes()
     if 1 < len(inputs) <= len(outputs):
-        # The responses determine the inputs, of which a late one differs from the others.
+        # The responses determine the inputs; a late input differs from the other inputs.
         exchanged = _Compared.of(
             _components(y, len(inputs)), x, frequency, replace(test, inputs=outputs, outputs=inputs)
         )

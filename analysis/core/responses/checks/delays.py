@@ -35,7 +35,8 @@ _MAX_CURVES = 8
 _MAX_CANDIDATES = 24
 # A point is evaluated if its relative expanded uncertainty is at most this value.
 _MAX_UNCERTAINTY = 0.5
-# Relative model errors that select poles; a larger one is tried if the misfit exceeds this multiple of its expectation.
+# Relative model errors that select poles; a larger model error is tried if the misfit exceeds this multiple of its
+# expectation.
 _MODEL_ERRORS = (0.001, 0.01, 0.05)
 _MAX_MISFIT_RATIO = 4.0
 # Largest magnitude of a pole, relative to the highest frequency: rounding errors determine poles far above the band,
@@ -162,7 +163,7 @@ def _estimate_delays(curves: Sequence[Response]) -> list[_Delay | None]:
     value = np.stack([curve.value for curve in receptances])
     magnitude = abs(value)
     valid = np.isfinite(value) & (magnitude > 0.0)
-    # A failed channel determines nothing, and must not remove the lines of the others.
+    # A failed channel determines no delay, and must not remove the lines of the other channels.
     is_valid = 2 * valid.sum(axis=1) > valid.shape[1]
     if not is_valid.all():
         found = iter(_estimate_delays([curve for curve, is_used in zip(curves, is_valid, strict=True) if is_used]))

@@ -22,7 +22,7 @@ _MIN_SAMPLES = 1024
 _MIN_PERIODS = 4.0
 # Minimum number of failed blocks at the end.
 _MIN_FAILED = 2
-# Maximum number of blocks before the failed ones with which they are compared.
+# Maximum number of blocks before the failure with which the failed blocks are compared.
 _COMPARED = 8
 # Minimum number of blocks, or of impacts, in a test that is checked: parts of fewer cannot be compared.
 _MIN_BLOCKS = 4

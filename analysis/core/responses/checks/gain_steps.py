@@ -94,7 +94,7 @@ def step_warnings(response: Response, is_linear: bool) -> list[str]:
         if step is None or abs(step.log_ratio) < min_change:
             others = np.delete(residuals, k, axis=0).max(axis=0, initial=0.0)
             largest = int(np.argmax(residuals[k] - others))
-            # Lines of unknown uncertainty have about that of the others.
+            # Lines of unknown uncertainty are assumed to have that of the other lines.
             noise_there = noise[k, _points(positions[largest], excluded)]
             known = noise_there[np.isfinite(noise_there)]
             noise_ratio = np.sqrt(np.mean(known**2)) if known.size else np.inf

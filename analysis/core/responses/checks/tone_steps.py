@@ -41,7 +41,7 @@ _MIN_SAMPLES = 96
 _DRIFT_TERMS = 4
 # Highest harmonic of the tone in the model.
 _HARMONICS = 3
-# This fraction of a block is not searched at either end.
+# This fraction of a block at either end is not searched for steps.
 _UNSEARCHED_END_FRACTION = 0.15
 # All samples are searched in recordings with at most this number of values; about 0.3 s of CPU time.
 _MAX_VALUES = 2_000_000

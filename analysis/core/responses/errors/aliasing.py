@@ -78,7 +78,7 @@ def aliased_ratios(rec: Recording, contributions: ChannelContributions) -> tuple
             recorded_ratio[row] *= np.maximum(above_band, driven_ratio)
             # A channel that transmits even the highest image records impacts between two samples as well.
             recorded_ratio[row] += _impact_ratio(rec.scene, info.body) * transmission.min(axis=0)
-        # Both contributions are at least this value.
+        # The aliased part is at least this value.
         recorded_ratio[row] = np.maximum(recorded_ratio[row], _MIN_IMAGE_RATIO * (frequency / info.rate) ** 2)
         true_ratio[row] = relative_to_reading(recorded_ratio[row])
     return true_ratio, recorded_ratio

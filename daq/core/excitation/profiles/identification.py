@@ -16,7 +16,8 @@ from rig.core.base.arrays import Array, ComplexArray
 
 #: Lines with a lower coherence are not used.
 MIN_COHERENCE = 0.9
-# The level is raised until the response has this fraction of the response in the test; a larger one if noise requires.
+# The level is raised until the response has this fraction of the response in the test, or a larger fraction if noise
+# requires it.
 _RESPONSE_RATIO = 0.1
 # First level, relative to that of a table or 1 kg: an unknown rig must not be overloaded.
 _FIRST_RATIO = 0.1

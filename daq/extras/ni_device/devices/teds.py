@@ -92,7 +92,7 @@ class TedsMemory:
         """Replace the TEDS of a sensor with a file; with an empty path, use the TEDS of the sensor."""
         if not path:
             self._virtual.pop(port.name.lower(), None)
-            self.data(port)  # This raises an error for a sensor without TEDS.
+            self.data(port)  # Raises an error for a sensor without TEDS.
             return
         try:
             data = read_file(Path(path))

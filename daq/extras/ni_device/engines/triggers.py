@@ -23,6 +23,10 @@ from daq.extras.ni_device.values import Slope, WindowCondition
 
 _SIGNAL = re.compile(r"/?(?:([^/]+)/)?(PFI\d+|a[io]/StartTrigger|ai/ReferenceTrigger)", re.IGNORECASE)
 
+# Rounding error of a time [s].
+_TIME_ROUNDING_S = 1e-9
+# Rounding error of the position of a sample [samples].
+_SAMPLE_ROUNDING = 1e-6
 # Function that returns two flags for each sample: whether it fires an armed trigger, and whether it arms the trigger.
 Condition = Callable[[NDArray[np.float64]], tuple[NDArray[np.bool_], NDArray[np.bool_]]]
 
@@ -105,8 +109,8 @@ class SyncPulse:
         """Return the index of the first sample at a rate in Hz, at least `earliest`, at or after an edge."""
         phase = 0.0 if self.edge == Slope.RISING else 0.5
         # The first rising edge that can trigger is at 1 s, the first falling edge at 1.5 s.
-        second = max(1, math.ceil(earliest / rate - phase - 1e-9))
-        return math.ceil((second + phase) * rate - 1e-6)
+        second = max(1, math.ceil(earliest / rate - phase - _TIME_ROUNDING_S))
+        return math.ceil((second + phase) * rate - _SAMPLE_ROUNDING)
 
 
 @dataclass(frozen=True)
@@ -117,7 +121,7 @@ class AtTime:
 
     def next_instant(self, earliest: int, rate: float) -> int:
         """Return the index of the first sample at or after the time, at least `earliest`; see `SyncPulse`."""
-        return max(math.ceil(self.seconds * rate - 1e-6), earliest)
+        return max(math.ceil(self.seconds * rate - _SAMPLE_ROUNDING), earliest)
 
 
 @dataclass(frozen=True)

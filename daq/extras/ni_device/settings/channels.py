@@ -155,7 +155,7 @@ class Channel:
         """
         settings, module = self.settings, self.module
         for name in self.unset_limits:
-            self.get(name)  # This raises the error for a missing limit.
+            self.get(name)  # Access to the limit raises the error for a missing limit.
         low, high = settings[f"{self.direction}_min"], settings[f"{self.direction}_max"]
         if not low < high:
             raise DaqError(

@@ -181,7 +181,7 @@ class Properties:
 
     def reset(self, name: str) -> None:
         """Reset a setting to its default."""
-        self[name]  # This raises an error for an unknown name.
+        self[name]  # The lookup raises an error for an unknown name.
         self._set.pop(name, None)
 
     def was_set(self, name: str) -> bool:

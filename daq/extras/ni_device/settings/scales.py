@@ -33,7 +33,7 @@ class Scale:
                 raise invalid_value(f"{name} of a scale is {str(value)[:80]}. Give finite numbers.")
             if value == [] and name != "poly_reverse_coeff":
                 raise invalid_value(f"{name} of a scale is empty. Give at least one number.")
-        self.convert(np.zeros(1))  # This raises an error if the settings are invalid.
+        self.convert(np.zeros(1))  # The evaluation raises an error if the settings are invalid.
 
     def changed(self, name: str, value: Any) -> Scale:
         """Return the scale with a changed parameter.

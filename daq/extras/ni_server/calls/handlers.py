@@ -63,7 +63,7 @@ def rejection(method: str) -> Callable[[Call], NoReturn]:
         for terminal in unflatten(terminals):
             port = parse_port(terminal)
             module = modules.module(port.device)
-            module.bench_index(port.direction, port.number)  # This raises an error if the channel does not exist.
+            module.bench_index(port.direction, port.number)  # The lookup raises an error if the channel does not exist.
             raise module.unsupported_measurement_error(f"{port.name}: {function}")
         raise unsupported(function)
 

@@ -57,7 +57,7 @@ def _teds(action: str) -> Handler:
 
     def handle(call: Call) -> None:
         teds, port = call.instrument.teds, parse_port(call.fields["physical_channel"])
-        # This raises an error if the channel does not exist.
+        # The lookup raises an error if the channel does not exist.
         call.instrument.chassis.devices.module(port.device).bench_index(port.direction, port.number)
         path = call.fields.get("file_path", "")
         if action == "configure":

@@ -89,5 +89,6 @@ class RandomControl(ProfileControl, KindOfTest):
 
     def rms(self, level: float = 0.0) -> float:
         """Return the root mean square acceleration of the profile at a level in dB, m/s²."""
+        # Ten points per line, because the profile is a power law between its breakpoints, not a straight line.
         frequency = np.linspace(*self.band, 10 * self.lines + 1)
         return from_decibels(level) * float(np.sqrt(np.trapezoid(self.profile.at(frequency), frequency)))

@@ -49,7 +49,8 @@ _CONTACT_SAMPLE_UNCERTAINTY = 0.05
 _PULSE_SAMPLES = 8
 # Lowest frequency of the band in which the motion of a body is determined, below the modes of most structures.
 _LOW_HZ = 2.0
-# Highest frequency of this band, relative to the sample rate: below the transition band of converters.
+# Highest frequency of the band in which the motion is determined, relative to the sample rate: below the transition
+# band of converters.
 _HIGH_RATE_RATIO = 0.4
 # Time on either side of an impact whose samples determine the polynomial for the acceleration at the impact.
 _SIDE_TIME_S = 2e-3

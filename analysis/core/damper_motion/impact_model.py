@@ -27,7 +27,8 @@ MAX_SHIFT = 4
 ORDERS = (2, 4, 6, 8)
 # Minimum number of samples on either side of a jump: they must outnumber the coefficients of the smooth motion.
 _SIDE_SAMPLES = 6
-# Shortest duration of these samples in velocity and displacement channels, whose noise is large in derivatives.
+# Shortest duration of the samples on either side of a jump in velocity and displacement channels, whose noise is large
+# in derivatives.
 _SIDE_TIME_S = 1e-3
 # Largest phase change [rad] of a resonance between two sub-sample times; the interpolation is then accurate.
 _MAX_PHASE_STEP = 0.5
@@ -315,7 +316,7 @@ def _acceleration_responses(
     # High-pass filters have no effect in the short time around a jump, so the response at zero frequency is set to 1.
     response[0] = 1.0
     if info.filter:
-        # The decimation filter blocks these frequencies, and its tabulated response ends below them.
+        # The decimation filter blocks frequencies above the sample rate, where its response is not tabulated.
         response[frequency > info.rate] = 0.0
     if pulse is not None:
         # Velocity change within half a sub-sample interval on either side.

@@ -62,7 +62,8 @@ MIN_RESOLVED_SAMPLES = 6
 _MAX_RESOLVED_ERROR_RATIO = 1.1
 # A segment is searched for groups of jumps if its residual exceeds this multiple of the detection limit.
 _GROUP_SEARCH_RATIO = 3.0
-# Windows in such a segment; the computing time increases with the cube of this number.
+# Maximum number of windows of a segment that is searched for groups of jumps; the computing time increases with the
+# cube of this number.
 _MAX_WINDOWS = 4
 # Residual sum of squares that ends the search for groups, relative to that of a jump at the detection limit.
 _SUFFICIENT_RATIO = 0.1

@@ -31,7 +31,8 @@ from rig.core.system.structural_model import structural_model
 
 # Lower limit of the frequency range [Hz] that is searched for modes: drift of sensors dominates below.
 LOWEST_MODE_HZ = 2.0
-# Upper limit of this range [Hz], raised if the structure of the scene has higher modes; higher modes decay at once.
+# Upper limit of the frequency range that is searched for modes [Hz], raised if the structure of the scene has higher
+# modes; higher modes decay at once.
 HIGHEST_MODE_HZ = 200.0
 # Minimum number of samples of a decay from which a natural frequency and a slope can be estimated.
 _MIN_SAMPLES = 256

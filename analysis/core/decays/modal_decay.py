@@ -54,10 +54,10 @@ class ModalDecay(Result):
     # acceleration amplitudes in descending order [m/s²]; noise causes a relative uncertainty below
     # `MAX_RELATIVE_UNCERTAINTY`
     amplitude: Array
-    damping: Array  # damping ratio at these amplitudes
+    damping: Array  # damping ratio at each of `amplitudes`
     damping_std: Array
     damping_bias_limit: Array  # limit of the bias of `damping` due to averaging over neighboring amplitudes
-    natural_frequency: Array  # natural frequency at these amplitudes [Hz]
+    natural_frequency: Array  # natural frequency at each of `amplitudes` [Hz]
     natural_frequency_std: Array  # Hz
 
     frequency_error = renamed("frequency_error", "frequency_std")

@@ -360,7 +360,7 @@ def _multiply(curves: Curves, factor: float | ComplexArray | Array) -> Curves:
 
 def _estimate_delay(linear_curves: list[Curves], sensor: Sensor) -> float:
     """Return the delay of a sensor [s] that brings the phases closest to 0 or 180 degrees; 0 without responses."""
-    # Away from resonances the phase is near these values; a delay adds a phase proportional to frequency.
+    # Away from resonances the phase is near 0 or 180 degrees; a delay adds a phase proportional to frequency.
     alignment = np.zeros(_TRIAL_DELAYS.size)
     sign = -1.0 if any(curves.reference_sensor == sensor for curves in linear_curves) else 1.0
     for curves in linear_curves:

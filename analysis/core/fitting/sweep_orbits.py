@@ -35,7 +35,7 @@ _MAX_CORRECTIONS = 8
 _MAX_PERIODS = 1500
 # Number of steps of the continuation from a neighboring point.
 _CONTINUATION_STEPS = 8
-# Corrections of the level in each of these steps.
+# Corrections of the level in each step of the continuation from a neighboring point.
 _LEVEL_CORRECTIONS = 2
 # Maximum number of secant steps to the drive that gives the level.
 _MAX_SECANT_STEPS = 8

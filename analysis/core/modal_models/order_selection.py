@@ -32,8 +32,9 @@ _PENALTY_FACTOR = 2.0
 # With a single reference, two poles are resolved if their distance is at least this value, in mean half-power widths.
 # With several references, closer poles are distinguished by their shapes.
 _MIN_DISTANCE_WIDTHS = 0.4
-# The same distance if a model error is assumed, or if curves state no uncertainty. Closer poles may represent an error,
-# because two poles fit a peak of any shape. Tuned on a measured milling tool: at 0.4 its modes depended on the band.
+# The smallest distance of two resolved poles if a model error is assumed, or if curves state no uncertainty. Closer
+# poles may represent an error, because two poles fit a peak of any shape. Tuned on a measured milling tool: at 0.4 its
+# modes depended on the band.
 _MIN_ERRONEOUS_DISTANCE_WIDTHS = 0.8
 # Two poles are close if their distance is at most this value, in mean half-power widths. Close poles are accepted only
 # if their local misfit is at noise level, because two close poles can fit the skewed peak of a nonlinear structure.

@@ -15,8 +15,8 @@ from daq.core.signal_chain.channel import ChannelInfo
 from rig.core.base.arrays import Array
 from rig.core.base.errors import RecordingError, SceneError
 
-# Number of samples of each channel that are read at a time: half a megabyte, which the cache holds; full lines of UFF
-# text.
+# Number of samples of each channel that are read at a time: half a megabyte, which the cache of the processor holds,
+# and a whole number of lines of UFF text.
 PIECE_SAMPLES = 1 << 16
 # Smallest number of samples of each channel that are read at a time for successive short slices. A measured window of a
 # dwell has about as many samples; samples between windows are not needed.

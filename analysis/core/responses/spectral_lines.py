@@ -33,7 +33,7 @@ _MAX_DECAY = 0.99
 _REFERENCE_CONFIDENCE = 0.999
 # The noise of the parts is estimated from their differences if there are at least this number of lines.
 _MIN_LINES = 8
-# Width of the median filter of this noise, in lines.
+# Width of the median filter that smooths the noise of the parts, in lines.
 _MEDIAN_LINES = 31
 # Number of successive parts into which many are averaged, to estimate the decay of a transient.
 _AVERAGED_PARTS = 4

@@ -38,7 +38,7 @@ from rig.core.results.response import MOTIONS, Response
 
 # Smallest frequency ratio of a segment: short segments exclude harmonics of a nonlinear structure.
 _MIN_FREQUENCY_RATIO = 1.35
-# Factor by which this ratio is increased until enough bins of the segment are excited on either side of its frequency.
+# Factor by which the ratio is increased until enough bins of the segment are excited on either side of its frequency.
 _RATIO_INCREASE = 1.1
 # Number of frequencies at which the response is estimated: several in each half-power width.
 _POINTS = 400

@@ -37,7 +37,7 @@ CANDIDATE_FREQUENCIES = 15
 SETTLE_TOLERANCE = 1e-5
 #: The wait for steady state ends after this number of decay times of the slowest mode.
 MAX_WAIT_DECAY_TIMES = 10.0
-#: The wait for steady state may take at least this time [s].
+#: Minimum of the permitted wait for steady state [s].
 MIN_TIMEOUT_S = 20.0
 #: The wait for steady state ends after this time [s].
 MAX_TIMEOUT_S = 60.0

@@ -56,7 +56,7 @@ SETTINGS_OF_MODES = {
     13.0: {math.inf: (1.3, 1.8, 3.0), 0.98e-3: (1.8, 3.0), 0.3e-3: (1.3,)},
     34.8: {math.inf: (1.3, 2.3, 4.5), 0.98e-3: (2.3, 4.5, 7.0), 0.3e-3: (4.5, 7.0)},
 }
-#: Numbers of layers that are simulated at these resonances.
+#: Numbers of layers that are simulated at the first and at the second resonance.
 LAYERS_OF_MODES = (4, 6)
 #: Ratio of the mass of the bed to the mass of the shaking body.
 SHAKEN_MASS_RATIO = 1e-3

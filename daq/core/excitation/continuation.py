@@ -54,7 +54,8 @@ _STEP_REDUCTION = 0.5
 _MIN_STEP_FRACTION = 1.0 / 16.0
 # A step with feedback that turns the curve by more than this angle [rad] is repeated with a shorter length.
 _MAX_TURN = 0.25
-# Smallest length of such a step, as a fraction of `test.step`: noise determines the direction of shorter steps.
+# Smallest length of a step with feedback where the curve turns, as a fraction of `test.step`: noise determines the
+# direction of shorter steps.
 _SHORTEST_TURN = 0.125
 # The frequency changes in a step by at most this fraction of the band, and by half of the fraction before the mode is
 # known.
@@ -74,8 +75,8 @@ _GAP_STEP_LENGTHS = 1.0, 2.0, 4.0
 _CORNER_RATIO = 0.25
 # Maximum number of such changes in succession; more occur only if the curve is lost.
 _MAX_CORNER_STEPS = 12
-# Duration of each of these changes, in units of 1 / |l|: the transients of slow changes are small, and the motion near
-# a corner is stable only against small transients.
+# Duration of each change of the frequency next to a corner, in units of 1 / |l|: the transients of slow changes are
+# small, and the motion near a corner is stable only against small transients.
 _CORNER_DURATION = 20.0
 # Feedback that changes the drive by more than this fraction (rms) indicates a motion that does not repeat; noise
 # changes the drive less.

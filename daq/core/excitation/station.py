@@ -42,7 +42,7 @@ class Station:
     # the length of a device's queue. With a window of the drive, the readings of samples that many earlier arrive.
     latency: int = 0
     now: int = 0  # index of the first sample of the next window
-    # Whether the marks of measurements are evaluated. A rehearsal does not need their amplitudes of the force.
+    # Whether the amplitudes of the force in marked measurements are evaluated; a rehearsal does not need them.
     evaluates_marks: bool = True
 
     def samples(self, seconds: float) -> int:

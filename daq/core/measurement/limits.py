@@ -93,7 +93,7 @@ class FlaggedIntervals:
             self._mark_interval(row)
 
     def _mark_interval(self, row: int) -> None:
-        """Close and mark the open interval of a channel."""
+        """Mark the open interval of flagged samples of a channel, and close it."""
         start, stop = self._open_intervals.pop(row)
         self._mark(self._kind, start, stop, channel=self._channels[row].name)
 

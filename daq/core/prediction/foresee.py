@@ -50,8 +50,8 @@ _MAX_TIME_RATIO = 1.5
 _LIMITED_DRIVE_RATIO = 0.999
 # If the amplifier clips the drive, the level is reduced by this factor, at most this number of times.
 _LEVEL_REDUCTION, _MAX_LEVEL_REDUCTIONS = 0.1, 3
-# Limit of error of the predicted settling time of the tones that are not rehearsed: this fraction of it, plus this
-# multiple of its standard deviation. Complete rehearsals of 12 scenes differed by 5.5 %, at most by 15 %.
+# Limit of error of the predicted settling time of the tones that are not rehearsed: this fraction of the predicted
+# time, plus `_WAIT_SIGMAS` standard deviations. Complete rehearsals of 12 scenes differed by 5.5 %, at most by 15 %.
 _LINEAR_WAIT_ERROR = 0.15
 _WAIT_SIGMAS = 2.5
 # Smallest completed fraction of a test with feedback for an extrapolation of its duration, to ten times.

@@ -16,7 +16,7 @@ from rig.core.scene.scene import STANDARD_GRAVITY
 # The range of the duration is printed if the ratio of its ends exceeds this value.
 _MIN_RANGE_RATIO = 1.1
 
-# A maximum is transient if the largest value in steady state is below this fraction of it.
+# A maximum is transient if the largest value in steady state is below this fraction of the maximum.
 _MAX_STEADY_RATIO = 0.8
 
 

@@ -215,7 +215,7 @@ class _PredictedTone(SteadyTone):
             weights[[used.index(row) for row in each.rows]] = each.factors
         self._sums[range(len(control), len(self._sums)), [used.index(row) for row in self._motion_rows]] = 1.0
         infos = [station.channels[row] for row in used]
-        # Row vectors that yield these displacements and forces from the states.
+        # Row vectors that yield the displacements and forces of the channels from the states.
         rows = np.zeros((len(used), system.states))
         for states_row, info in zip(rows, infos, strict=True):
             if info.quantity == "force":

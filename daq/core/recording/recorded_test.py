@@ -97,7 +97,7 @@ class ControlledTones:
     """Tones whose frequency or level a controller chose from the motion; such tests have their own analysis."""
 
     field: str  # field of their markers `measure` that only tests with this control write
-    analysis: str  # command that evaluates these tones
+    analysis: str  # command that evaluates the tones of this control
 
     def measured(self, markers: Iterable[Marker]) -> list[Marker]:
         """Return the markers of the measured tones; empty for any other test."""

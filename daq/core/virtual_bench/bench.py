@@ -27,7 +27,8 @@ from rig.core.system.open_loop_drive import validate_drive
 
 # If sampling at a further rate begins while the rig moves, the filters first process this duration of past motion [s].
 _SETTLING_S = 2.0
-# Upper limit of this past motion [ticks]: the bench of a stiff scene has a million ticks per second.
+# Upper limit of the past motion that the filters process [ticks]: the bench of a stiff scene has a million ticks per
+# second.
 _MAX_PAST_TICKS = 1 << 18
 
 

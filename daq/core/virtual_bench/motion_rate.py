@@ -38,7 +38,7 @@ class MotionAtRate:
         self._last: list[Array] = []
 
     def resample(self, motion: Motion, forces: Array) -> tuple[Motion, Array]:
-        """Return motion and drive at complete groups of instants, from motion and drive at the next ticks."""
+        """Return motion and drive at the instants of complete groups, given motion and drive at the next ticks."""
         stop = motion.first + forces.shape[1]
         is_group_end = (stop - 1) % self._group == 0
         if self._rate == 1 and self._first == 0 and self._output_stop == motion.first and is_group_end:

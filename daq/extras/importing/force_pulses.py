@@ -15,8 +15,8 @@ _HIT_RATIO = 0.1
 _MAX_CONTACT_SHARE = 0.2
 # Time after an impact in which further pulses are ignored as bounces of the hammer [s].
 _BOUNCE_S = 0.2
-# An impact is double if such a bounce has at least this fraction of the impact's peak: a smaller bounce has little
-# effect on the spectrum.
+# An impact is double if a bounce of the hammer has at least this fraction of the impact's peak: a smaller bounce has
+# little effect on the spectrum.
 _DOUBLE_RATIO = 0.1
 # Crossings of the threshold within this time belong to the same pulse [s].
 _CHATTER_S = 1e-3

@@ -25,7 +25,8 @@ _UNIT_IN_BRACKETS = re.compile(r"(.*?)\s*[\[(](?!\d)([^\[\]()]*(?:\([^\[\]()]*\)
 _UNIT_AFTER_UNDERSCORE = re.compile(r"(.+)_(m/s\^?2|m/s²|m/s|m|N|V|g|s|ms|us|ns|k?Hz)")
 # A unit after a slash between blanks (ISO 80000-1), or after "in": ``f / kHz``, ``force in N``.
 _UNIT_AFTER_SLASH = re.compile(r"(?:(.+?) )?(?:/|in) (\S+(?: re .+)?)")
-# The same without blanks (DIN 1313), in the first column: ``Time/s``, ``f/Hz``. Other names contain slashes, too.
+# A unit after a slash without blanks (DIN 1313), in the first column: ``Time/s``, ``f/Hz``. Other names contain
+# slashes, too.
 _ABSCISSA_WITH_SLASH = re.compile(r"(t|time|zeit|f|freq|frequency|frequenz)/([mnuµ]?s|k?Hz)", re.IGNORECASE)
 # Units that are not products of powers of other units.
 _ANGLE_OR_DECIBEL = re.compile(r"deg(rees?)?|°|rad(ians?)?|grad|dB\b.*", re.IGNORECASE)
@@ -210,7 +211,8 @@ def _require_other_delimiter(path: Path, lines: Sequence[str], layout: Layout) -
     # Decimals have leading zeros; if the numbers in the first column have zeros, too, all numbers have a fixed width.
     zeros = {k for row in rows for k, cell in enumerate(row) if re.match(r"0\d", cell)}
     has_zeros = bool(zeros) and 0 not in zeros
-    # One more column than names is a decimal in a column that is no count, such as a time.
+    # If there is one more cell than names, a decimal comma divides a number of a column that is no count, such as a
+    # time.
     has_decimals = has_names and 1 < len(names) < count and (count == 2 * len(names) or "(" in names[0] + names[1])
     if has_decimals or (has_zeros and (len(names) != count or not has_names)):
         raise RecordingError(

@@ -28,7 +28,7 @@ _ONE_MASS_SAMPLES_PER_PERIOD = 400
 MAX_STEADY_CHANGE = 0.01
 #: A simulation with beds modeled as one mass begins with this number of periods, in which the transient decays.
 _SETTLING_PERIODS = 200
-#: The results of this simulation are averages over this number of periods at the end.
+#: The results of a simulation with beds modeled as one mass are averages over this number of periods at its end.
 _AVERAGED_PERIODS = 100
 #: The type of motion neglects flights that take less than this fraction of the time. The same fraction of the weight of
 #: the bed limits the wall forces that are neglected.

@@ -33,7 +33,7 @@ class ImpactLaw:
 
     restitution: float = 0.0  # ratio of rebound speed to closing speed
     contact: Contact | None = None  # finite-duration contact with floor and ceiling; None: instantaneous impact
-    origin: str = "the scene has no dampers"  # origin of these values, for messages
+    origin: str = "the scene has no dampers"  # origin of restitution and contact, for messages
 
     def __str__(self) -> str:
         """Describe the impact law.

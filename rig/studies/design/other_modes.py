@@ -24,7 +24,7 @@ class ModePeaks:
     """Largest peaks near a natural frequency."""
 
     frequency: float  # natural frequency of the structure without dampers [Hz]
-    in_band: bool  # whether this frequency lies in the band of the objective
+    in_band: bool  # whether the natural frequency lies in the band of the objective
     undamped: Peak  # without dampers
     damped: tuple[Peak, ...]  # with dampers, at each level
 

@@ -38,7 +38,8 @@ MAX_SIMPLEX_LOCATIONS = 2
 MAX_MASS_RATIO = 300.0
 #: A location is refined if its peak is at most this multiple of the best peak on the grid.
 MAX_REFINED_PEAK_RATIO = 1.4
-#: The same limit for smaller masses, and for locations with several different dampers.
+#: A location is refined for a smaller mass, or with several different dampers, if its peak is at most this multiple of
+#: the best peak.
 MAX_LIGHT_PEAK_RATIO = 1.25
 #: Number of locations that are refined for each smaller mass: the best and its competitor.
 MAX_REFINED_LOCATIONS = 2

@@ -45,8 +45,8 @@ _MAX_REMAINING_FRACTION = 0.2
 _MAX_REMAINING = 0.1
 # Smallest reported magnitude of the logarithm of the ratio for linear structures: about 10 %.
 _MIN_CHANGE = 0.1
-# The same for nonlinear structures, about 30 %: curves with moving dampers are not rational. Of 32 intact sweeps, three
-# had ratios up to 0.21.
+# Smallest reported magnitude of the logarithm of the ratio for nonlinear structures, about 30 %: curves with moving
+# dampers are not rational. Of 32 intact sweeps, three had ratios up to 0.21.
 _MIN_NONLINEAR_CHANGE = 0.3
 # Largest logarithmic gain ratio of other channels at a step of one channel, relative to it, unless all equal it.
 _MAX_COMMON = 0.25

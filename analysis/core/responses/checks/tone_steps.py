@@ -51,7 +51,7 @@ _MAX_REMAINING_FRACTION = 0.35
 _MAX_REMAINING = 0.1
 # Smallest reported change of the logarithm of a gain, and of a phase [rad].
 _MIN_CHANGE = 0.1
-# Largest fraction of this change that another channel may show at the same instant.
+# Largest change of another channel at the same instant, as a fraction of the change of the reported channel.
 _MAX_COMMON = 0.25
 # A channel is searched in a block if its readings span more than this number of counts of the converter. A smaller
 # tone, as at an antiresonance, appears suddenly when it exceeds half a count.

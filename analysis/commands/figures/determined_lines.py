@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 from rig.core.base.arrays import Array
 from rig.core.results.response import Response
 
-# Points over which the median roughness of a curve is computed: enough that one resonance does not determine it.
+# Number of points over which the median roughness of a curve is computed: enough that one resonance does not determine
+# it.
 _ROUGHNESS_POINTS = 25
 # A point with a smaller coherence is drawn as noise: more than half of its power does not depend on the force.
 _MIN_COHERENCE = 0.5

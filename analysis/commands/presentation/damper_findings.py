@@ -24,7 +24,7 @@ from rig.core.results import format_interval, format_limited, format_number
 from rig.core.results.table import Table
 from rig.core.results.uncertainty import expand
 
-# Frequencies in the printed energy table, which must stay short; the CSV file contains all frequencies.
+# Number of frequencies in the printed energy table, which must stay short; the CSV file contains all frequencies.
 _PRINTED_FREQUENCIES = 2
 _HEADING = (
     "scene", "frequency_Hz", "supplied_J", "structure_J", "dampers_J", "dampers_bound_J", "true_impacts_J",

@@ -35,7 +35,7 @@ _SHAPE_VIEW = 228
 _SHAPE_SPACING = 36
 # Amplitude of the largest element of an animated mode shape [px], so small that bodies in antiphase do not meet.
 _MAX_AMPLITUDE = 0.45 * _SHAPE_SPACING
-# Zigzag corners of a drawn spring.
+# Number of zigzag corners of a drawn spring.
 _COILS = 8
 
 

@@ -22,11 +22,11 @@ if TYPE_CHECKING:
 _MAX_SAMPLES = 60_000
 # A long recording is divided into this number of intervals.
 _INTERVALS = 1500
-# Channels with panels of their own; more would make a page too long.
+# Maximum number of channels with panels of their own; more would make a page too long.
 _MAX_LANES = 8
 # Limits of an axis, relative to the largest value.
 _LANE_MARGIN = 1.05
-# Spectra in a spectrogram; more would not be visible in its width.
+# Maximum number of spectra in a spectrogram; more would not be visible in its width.
 _SPECTRA = 240
 # Spectral lines in each spectrum; more would not be visible in its height.
 _LINES = 128

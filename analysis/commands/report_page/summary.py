@@ -25,7 +25,7 @@ from daq.core.recording.recorded_test import deviation_unit, shocks_of
 from rig.core.results import format_decimals, format_frequencies, format_limited, format_percent
 from rig.core.scene.excitation import FORCE_TOLERANCE
 
-# A reader takes in three statements; the tables contain the rest.
+# Maximum number of statements: a reader takes in three; the tables contain the other results.
 _MAX_TEXTS = 3
 
 

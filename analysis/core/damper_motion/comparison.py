@@ -22,7 +22,8 @@ from rig.core.results.uncertainty import CLOCK, COVERAGE_FACTOR, SENSITIVITY, SY
 _BAND_BELOW_RATIO = 0.15
 # Largest relative deviation of a point from the prediction of its neighbors without a jump, even at a resonance.
 _MAX_LEAVE_ONE_OUT_ERROR = 0.2
-# Frequencies of the interpolated curve between the neighbors of the highest point, so its maximum needs no refinement.
+# Number of frequencies of the interpolated curve between the neighbors of the highest point, so its maximum needs no
+# refinement.
 _GRID_POINTS = 801
 # Number of drawn frequencies of the interpolated curve: enough for a smooth line.
 _DRAWN_POINTS = 41

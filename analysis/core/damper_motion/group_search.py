@@ -14,7 +14,7 @@ from analysis.core.damper_motion.joint_fit import ITERATIONS, Jump
 
 # Sets of jumps that are extended by a further jump; the computing time is proportional to this number.
 _BEAM_WIDTH = 3
-# Candidates for the further jump of a set that are fitted completely; complete fits take most of the time.
+# Number of candidates for the further jump of a set that are fitted completely; complete fits take most of the time.
 _EXTENSIONS = 4
 # Maximum number of jumps in a set; the computing time increases with its cube.
 MAX_GROUP = 8

@@ -14,7 +14,7 @@ import numpy as np
 from analysis.core.damper_motion.impact_model import MAX_SHIFT, ImpactModel
 from rig.core.base.arrays import Array
 
-# Gauss-Newton iterations; few suffice, because the initial times are within two samples.
+# Number of Gauss-Newton iterations; few suffice, because the initial times are within two samples.
 ITERATIONS = 4
 # The time of a jump changes by at most this value in one iteration [samples].
 _MAX_CHANGE_SAMPLES = 0.5

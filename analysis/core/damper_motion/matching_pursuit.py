@@ -49,9 +49,10 @@ RESIDUAL_RATIO = 0.02
 _SLOPE_CHANGE_JUMP_RATIO = 1.0
 # For finite-duration contact, this fraction of its duration replaces the sample interval in the rejection above.
 _SLOPE_CHANGE_DURATION_RATIO = 1.0 / 6.0
-# Searches of the residual; each subtracts all jumps found in it, so few are needed and the limit only ends a cycle.
+# Maximum number of searches of the residual; each subtracts all jumps found in it, so few are needed and the limit only
+# ends a cycle.
 _MAX_ROUNDS = 12
-# Iterations that center a window on a jump; the limit only ends an oscillation between two windows.
+# Maximum number of iterations that center a window on a jump; the limit only ends an oscillation between two windows.
 _MAX_CENTERINGS = 4
 # Minimum distance of two jumps in the search for single jumps [samples].
 _MIN_DISTANCE_SAMPLES = 4
@@ -77,7 +78,7 @@ _HIGHER_ORDERS = (2, 4, 6)
 _MIN_VARIANCE_REDUCTION = 2.0
 # A filter of higher order is used if the noise of the jumps is below this fraction of that with the current filter.
 NOISE_REDUCTION = 0.7
-# Jumps in a joint fit; the computing time increases with the cube of this number.
+# Maximum number of jumps in a joint fit; the computing time increases with the cube of this number.
 _MAX_JOINT_JUMPS = 5
 # Offsets from which the time of a new jump is fitted [samples].
 _START_OFFSETS = (0.0, -2.5, 2.5, -5.0, 5.0)

@@ -37,9 +37,9 @@ _MAX_PATTERN_PERIODS = 4
 # A restitution differs significantly from zero above this number of standard uncertainties; a true value of zero does
 # so by chance with a probability of 0.1 %.
 _RESTITUTION_SIGMAS = 3.0
-# Samples of a window that are searched, to limit the memory.
+# Maximum number of samples of a window that are searched, to limit the memory.
 _MAX_SEARCHED_SAMPLES = 1 << 20
-# Periods that are searched even if they contain more samples: five recurrences of the longest pattern.
+# Number of periods that are searched even if they contain more samples: five recurrences of the longest pattern.
 _MIN_SEARCHED_PERIODS = 20
 
 # Printed descriptions of the motions by name (`DamperMotion.name`).

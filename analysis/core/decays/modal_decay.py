@@ -33,7 +33,8 @@ _RESPONSE_BIAS_FACTOR = 2.5
 _SLOPE_CHANGE_LIMIT_FACTOR = 8.0
 # Number of neighboring amplitudes on either side that a change of damping affects.
 _AFFECTED_AMPLITUDES = 2
-# Envelope points in the fit of one damping ratio: more do not reduce its uncertainty, because neighbors are correlated.
+# Maximum number of envelope points in the fit of one damping ratio: more do not reduce its uncertainty, because
+# neighbors are correlated.
 _MAX_POINTS = 64
 
 

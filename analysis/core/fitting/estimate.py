@@ -29,7 +29,7 @@ _MODEL_ERRORS = (0.1, 0.01, 0.0)
 _RANDOM_MODEL_ERRORS = (0.3, 0.1, 0.01, 0.0)
 # Standard deviation of the random initial values of the unknowns around the parameters of the scene.
 _RANDOM_SD = 0.15
-# Random initial values: a safeguard against local minima; each takes a fit.
+# Number of fits from random initial values, which are a safeguard against local minima.
 _RANDOM_STARTS = 8
 # The structure is fitted from random initial values if the mean square of the residuals exceeds this value.
 _MAX_STRUCTURE_VARIANCE = 4.0
@@ -52,7 +52,8 @@ _MAX_SQUARE = 9.0
 _FAILED_SQUARE = 1e6
 # Robust cost of a model without an orbit at about half of the points.
 _HALF_FAILED_COST = 4.5
-# Fits of all unknowns, each after a search for better orbits at outliers; the limit ends a cycle between two orbits.
+# Maximum number of fits of all unknowns, each after a search for better orbits at outliers; the limit ends a cycle
+# between two orbits.
 _MAX_ROUNDS = 4
 # Number of clusters of neighboring frequencies in a group, within which residuals may have a common cause.
 _CLUSTERS = 40

@@ -19,13 +19,13 @@ from analysis.core.responses.errors.systematic import MODEL, REFERENCE_NOISE
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.results.uncertainty import Covariance, standard_of_limit
 
-# Gauss-Newton steps: the start is near the minimum, so the limit is reached only without convergence.
+# Maximum number of Gauss-Newton steps: the start is near the minimum, so the limit is reached only without convergence.
 _MAX_STEPS = 12
 # Maximum number of halvings of a step that increases the misfit; a step of 1/64 increases it only by rounding.
 _MAX_HALVINGS = 6
 # The iteration has converged if its step is at most this value, in standard deviations of the unknowns.
 _MAX_FINAL_STEP = 1e-3
-# Array elements in memory for a block of lines: 16 MB of complex values.
+# Maximum number of array elements in memory for a block of lines: 16 MB of complex values.
 _MAX_ELEMENTS = 1 << 20
 # Maximum number of multiplications in a step, some ten seconds; larger problems are not refined.
 _MAX_MULTIPLICATIONS = 5e10

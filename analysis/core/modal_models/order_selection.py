@@ -45,7 +45,7 @@ _MAX_NOISE_RATIO = 4.0
 _SAME_PEAK_RATIO = 1.5
 # The poles of two fits are the same up to this distance, in half-widths.
 _SAME_POLE_RATIO = 1e-3
-# Candidates that are fitted at each step: those with the largest predicted improvement.
+# Number of candidates that are fitted at each step: those with the largest predicted improvement.
 _FITTED_CANDIDATES = 4
 # The fit of a candidate is completed only if its approximate fit has at least this fraction of the necessary reduction
 # of the misfit. In 550 fits of simulated curves, the smallest fraction of an accepted pole was 0.96.

@@ -42,7 +42,7 @@ from rig.core.results.response import Response
 ESTIMATORS = ("H1", "H2", "Hv")
 # Number of copies of the factor of the spectral matrix that are in memory at a time.
 _COPIES = 1.2
-# Lines whose spectral matrices are factorized at a time, to limit the memory.
+# Number of lines whose spectral matrices are factorized at a time, to limit the memory.
 _FACTORED_LINES = 256
 
 

@@ -32,7 +32,8 @@ _MIN_MARKED_RATIO = 0.5
 _MIN_REBOUND_RATIO = 0.05
 # The force of a rebound must also be at least this multiple of the noise, the median change between samples.
 _REBOUND_SIGMAS = 8.0
-# Samples after an impact in which rebounds and unmarked impacts are detected, to limit the memory to 8 MB a channel.
+# Number of samples after an impact in which rebounds and unmarked impacts are detected, to limit the memory to 8 MB a
+# channel.
 _MAX_SCAN_SAMPLES = 1 << 20
 # The usable force spectrum ends where its power falls to this fraction of its maximum (-20 dB).
 _MIN_POWER_RATIO = 1e-2

@@ -29,7 +29,7 @@ from rig.core.results.text import format_quantity
 from rig.core.results.uncertainty import SENSITIVITY
 from rig.core.scene.excitation import FORCE_TOLERANCE
 
-# Points on each side of a fold to which polynomials are fitted: as many as a parabola has coefficients.
+# Number of points on each side of a fold to which polynomials are fitted: as many as a parabola has coefficients.
 _FITTED = 3
 # A curve reaches an end of the band up to this ratio of frequencies.
 _BAND_END = 1.001

@@ -29,7 +29,7 @@ from rig.core.results import Result, complete_style
 _MIN_AMPLITUDES = 3
 # Successive amplitudes belong to the same held level if they differ by less than this fraction.
 _LEVEL_STEP = 0.02
-# Amplitudes to which the points of a frequency are interpolated: finer than the contours of a figure.
+# Number of amplitudes to which the points of a frequency are interpolated: finer than the contours of a figure.
 _GRID = 1000
 
 

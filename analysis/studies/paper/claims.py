@@ -20,7 +20,7 @@ FORCE_C3_N = 2.6
 # C1 is true if the relative differences of the natural frequencies from those of the paper are below this value.
 # Rounding of the paper's lowest frequency, 81.9 rad/s, alone is up to 0.06 %.
 MAX_PAPER_DIFFERENCE = 2e-3
-# C1 also requires this relative agreement of identified with computed natural frequencies.
+# Largest relative deviation of identified from computed natural frequencies in C1.
 MAX_IDENTIFICATION_ERROR = 1e-3
 # Largest difference of mode shapes from those of the paper in C1; the largest component of a shape is 1.
 MAX_SHAPE_DIFFERENCE = 0.02

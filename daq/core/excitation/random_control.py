@@ -20,14 +20,14 @@ from rig.core.scene.excitation import RandomControl
 from rig.core.scene.excitation.profile import limits_drive
 from rig.core.scene.scene import Scene
 
-# Averaged spectra for the first update at a level, and for the levels of the ramp: a scatter of about 1 dB.
+# Number of averaged spectra for the first update at a level, and for the levels of the ramp: a scatter of about 1 dB.
 _FIRST_AVERAGES = 16
 # Fraction of lines within the tolerance that continues the ramp: with few averages, the other lines are outside by
 # chance.
 _MIN_WITHIN = 0.9
 # Maximum number of updates at a level of the ramp; more are needed only if the spectrum cannot be reached.
 _MAX_UPDATES = 12
-# Fraction of the drive samples that the output may clip.
+# Largest fraction of the drive samples that the output may clip.
 _MAX_CLIPPED = 0.01
 # A line is outside its limit if it exceeds it by this number of standard deviations of its averaged density; a line at
 # the limit does so by chance with a probability of 2 %.

@@ -19,7 +19,8 @@ from rig.core.scene.excitation.profile import from_decibels
 from rig.core.scene.excitation.shock import PULSE_POSITION
 from rig.core.scene.scene import Scene
 
-# Practice pulses before the test aborts, unless the scene specifies more; convergent corrections need fewer.
+# Maximum number of practice pulses before the test aborts, unless the scene specifies more; convergent corrections need
+# fewer.
 _MAX_PRACTICE = 3
 # Highest frequency of the drive relative to the sample rate, below the transition band of the converter.
 _BAND_RATIO = 0.4

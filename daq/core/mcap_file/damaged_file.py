@@ -39,16 +39,17 @@ _ENTRY_BYTES = 16
 _TEXT_SIZE = struct.Struct("<I")
 # Length of the record at the end of the data section: a checksum.
 _DATA_END_BYTES = 4
-# Bytes that are read to check the beginning of a record: its header and the first fields.
+# Number of bytes that are read to check the beginning of a record: its header and the first fields.
 _CHECKED_BYTES = 64
 # First fields of an attachment: two times, and the size of its name.
 _ATTACHMENT_HEAD = struct.Struct("<QQI")
 # Field before the data of an attachment: their size.
 _DATA_SIZE = struct.Struct("<Q")
 _CHECKSUM_BYTES = 4
-# Size of verified records without a following record [bytes], in addition to `_MAX_UNCONFIRMED_RATIO` of the file.
+# Maximum size of verified records without a following record [bytes], in addition to `_MAX_UNCONFIRMED_RATIO` of the
+# file.
 _MAX_UNCONFIRMED_BYTES = 1 << 26
-# See `_MAX_UNCONFIRMED_BYTES`.
+# Multiple of the size of the file in the same maximum.
 _MAX_UNCONFIRMED_RATIO = 8
 
 

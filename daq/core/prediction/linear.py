@@ -18,7 +18,7 @@ from rig.core.system.assembly import assemble, force_row
 from rig.core.system.hybrid_system import HybridSystem
 from rig.core.system.open_loop_drive import drive_per_level, riding_response
 
-# Frequencies over the band of a test without tones: two per half-power width (0.5 % damping) in a decade.
+# Number of frequencies over the band of a test without tones: two per half-power width (0.5 % damping) in a decade.
 _N_FREQUENCIES = 400
 
 

@@ -21,7 +21,7 @@ from rig.core.base.arrays import Array
 from rig.core.base.errors import RecordingError
 from rig.core.numerics.runs import runs_of
 
-# Samples above which a request is compared with the file first: a wrong index must not exhaust the memory.
+# Number of samples above which a request is compared with the file first: a wrong index must not exhaust the memory.
 _LARGE_RANGE = 1 << 22
 # Largest ratio of requested samples to samples in the file; a damaged sample number must not exhaust the memory.
 _MAX_REQUESTED_PER_STORED = 16

@@ -18,7 +18,7 @@ from rig.core.base.errors import RecordingError, RunError
 from rig.core.base.file_lock import lock
 from rig.core.base.output_files import rename_complete, resolve_output
 
-# Byte strings joined for one write; joining all would double the memory for thousands of channels.
+# Maximum number of byte strings joined for one write; joining all would double the memory for thousands of channels.
 _MAX_PARTS_PER_WRITE = 256
 # Disk space that is kept free for the end of the file and the display [bytes].
 RESERVE = 1 << 20

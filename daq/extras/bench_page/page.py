@@ -23,9 +23,9 @@ from rig.core.base.errors import ShotrigError
 
 # Interval of the refreshes of the page [s].
 REFRESH_S = 0.05
-# Refreshes of the page until the spectra are refreshed.
+# Number of refreshes of the page from one refresh of the spectra to the next.
 _REFRESHES_PER_SPECTRUM = 2
-# Refreshes of the page until the responses and the rig are refreshed.
+# Number of refreshes of the page from one refresh of the responses and the rig to the next.
 _REFRESHES_PER_RESPONSE = 10
 # Duration of the animation [s]. It shows the last `MOTION_S` seconds in slow motion.
 _ANIMATION_S = 2.0

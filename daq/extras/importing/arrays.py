@@ -41,7 +41,7 @@ _INDEX_NAMES = re.compile(r".*\.(axis1|index)")
 _MIN_SAMPLES = 16
 # Two-dimensional arrays with more channels do not contain samples.
 _MAX_CHANNELS = 4096
-# Structures that are read from an array, to limit the time for malformed files.
+# Maximum number of structures that are read from an array, to limit the time for malformed files.
 _MAX_STRUCTURES = 1000
 
 

@@ -19,7 +19,7 @@ from rig.core.scene.scene import Scene
 _BAND_RATIO = 1.5
 # Number of blocks into which a tone is divided; fewer if `lock_in` needs longer blocks.
 _BLOCKS_PER_TONE = 8
-# Samples of a block, to limit the memory.
+# Number of samples of a block, to limit the memory.
 _MAX_BLOCK = 1 << 16
 # Two dwells have the same frequency if the frequencies differ by less than this fraction, the error of two sample
 # clocks.

@@ -18,9 +18,9 @@ _BOUNCE_S = 0.2
 # An impact is double if a bounce of the hammer has at least this fraction of the impact's peak: a smaller bounce has
 # little effect on the spectrum.
 _DOUBLE_RATIO = 0.1
-# Crossings of the threshold within this time belong to the same pulse [s].
+# Two crossings of the threshold within this time belong to the same pulse [s].
 _CHATTER_S = 1e-3
-# Stored pulses, to limit the memory; a test with more impacts does not exist.
+# Maximum number of stored pulses, to limit the memory; a test with more impacts does not exist.
 _MAX_PULSES = 200_000
 
 

@@ -63,7 +63,7 @@ _MIN_LINES = 10
 _MAX_SEGMENTS = 200
 # Maximum deviation of the times of a segment without a gap from those of consecutive samples [samples].
 _MAX_DEVIATION = 0.5
-# Lines in a block, to limit the memory.
+# Number of lines in a block, to limit the memory.
 BLOCK_LINES = 1 << 16
 # Measured memory for text and numbers, bytes per byte of a block.
 _MEMORY_PER_BYTE = 4

@@ -224,7 +224,7 @@ class RealClock(Clock):
 
 # A step of the bench that takes longer than this wall-clock time [s] is attributed to the compilation of kernels.
 _COMPILATION_S = 1.0
-# Slow steps that are attributed to compilation; further slow steps have a different cause.
+# Maximum number of slow steps that are attributed to compilation; further slow steps have a different cause.
 _MAX_COMPILATIONS = 20
 # Shortest reported delay [s]: shorter delays are usual on a desktop computer.
 _MIN_REPORTED_DELAY_S = 0.25

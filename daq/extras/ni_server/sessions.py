@@ -22,7 +22,7 @@ from rig.core.base.errors import ShotrigError
 INITIALIZE, ATTACH = 1, 2
 # Interval at which the server checks whether a client that waits for a name is still connected.
 _CHECK_INTERVAL_S = 0.1
-# Reserved names, so a client cannot exhaust the memory.
+# Maximum number of reserved names, so a client cannot exhaust the memory.
 _MAX_NAMES = 10_000
 
 

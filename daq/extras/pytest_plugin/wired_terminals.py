@@ -20,7 +20,7 @@ from daq.extras.ni_device.settings.channels import Channel
 from daq.extras.ni_device.values import Coupling
 from daq.extras.pytest_plugin.description import WiredBench
 
-# Ticks in one step of the bench, to limit the memory.
+# Number of ticks in one step of the bench, to limit the memory.
 _MAX_BLOCK_TICKS = 1 << 16
 # Corner frequency of inputs with AC coupling [Hz], as that of an NI 9234.
 _AC_CORNER_HZ = 0.5

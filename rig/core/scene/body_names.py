@@ -18,7 +18,7 @@ LOCATIONS = ("table", "hammer", "shaker", "drive")
 GROUND = "ground"
 #: Reserved words, which a body must not have as its name.
 RESERVED_NAMES = ("body", GROUND, *LOCATIONS)
-# Number of unknown names for which a similar name is suggested; each is compared with all names.
+# Maximum number of unknown names for which a similar name is suggested; each is compared with all names.
 _MAX_SUGGESTIONS = 20
 # Locations without the name of a body: a body by its number, or another location on the bench.
 _LOCATION_WITHOUT_NAME = re.compile(r"(body \d+|hammer|(table|shaker|drive)( \d+)?)")

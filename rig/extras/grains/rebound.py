@@ -17,7 +17,7 @@ from rig.core.scene.damper import Grains
 _CLOSING_SPEED = 0.3
 #: A contact may begin anywhere in a step; the rebound is averaged over this number of evenly spaced beginnings.
 _START_COUNT = 16
-#: Time steps of a contact, so a contact that never ends is reported.
+#: Maximum number of time steps of a contact, so a contact that never ends is reported.
 _MAX_STEPS = 100_000
 
 

@@ -22,7 +22,7 @@ APPROACH_FREQUENCIES = 3
 STEADY_TOLERANCE = 1e-4
 #: The wait for steady state ends after this number of periods.
 MAX_WAIT_PERIODS = 2000
-#: Test frequencies around each peak: enough to resolve it between the points of the search.
+#: Number of test frequencies around each peak: enough to resolve it between the points of the search.
 POINTS_PER_PEAK = 25
 #: The outermost test frequencies differ from the peak by this fraction.
 PEAK_HALF_WIDTH = 0.04

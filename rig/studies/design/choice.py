@@ -21,9 +21,9 @@ from rig.core.system.structural_model import structural_model
 from rig.studies.design.worst_peak import Peak, linear_peak, peak_at
 from rig.studies.motion_map.grid import natural_frequencies, select_frequencies
 
-#: Frequencies per natural frequency during the search, which only ranks the designs.
+#: Number of frequencies per natural frequency during the search, which only ranks the designs.
 COARSE_DENSITY = 20
-#: Frequencies per natural frequency in the comparison of the best designs, whose peaks must be resolved.
+#: Number of frequencies per natural frequency in the comparison of the best designs, whose peaks must be resolved.
 FINE_DENSITY = 60
 
 

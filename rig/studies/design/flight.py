@@ -15,7 +15,7 @@ from rig.studies.motion_map.grid import damper_accelerations, natural_frequencie
 
 #: Dampers are effective if they reduce the peak by at least this value [dB].
 EFFECTIVE_DB = 1.0
-#: Frequencies over the band, in addition to natural frequencies and peaks, where the acceleration is largest.
+#: Number of frequencies over the band, in addition to natural frequencies and peaks, where the acceleration is largest.
 _BAND_POINTS = 20
 #: Acceleration of the body [g], with resting dampers, above which dampers are usually effective.
 _EFFECTIVE_G = 3.0

@@ -25,14 +25,14 @@ GRID_CLEARANCES = 10
 #: Share of the grid that is computed at all levels, for the estimate of the progress; a lower bound excludes the other
 #: choices.
 TYPICAL_COMPLETED_SHARE = 0.4
-#: Choices of each mass that are computed concurrently; more would be wasted, because the search excludes the remaining
-#: choices of a row as soon as a lower bound exceeds the best peak.
+#: Number of choices of each mass that are computed concurrently; more would be wasted, because the search excludes the
+#: remaining choices of a row as soon as a lower bound exceeds the best peak.
 LOOKAHEAD = 3
 #: Maximum number of trials around the best clearance of a location and mass; the peak is flat there.
 MAX_REFINEMENT_TRIALS = 8
 #: Number of trials per unknown (mass and clearance of each damper) of the simplex search. A trial takes seconds.
 SIMPLEX_TRIALS_PER_UNKNOWN = 25
-#: Locations that the simplex search refines at the largest mass: the best and its competitor.
+#: Number of locations that the simplex search refines at the largest mass: the best and its competitor.
 MAX_SIMPLEX_LOCATIONS = 2
 #: Largest mass ratio of two dampers, so large that a single damper can dominate if that is the optimum.
 MAX_MASS_RATIO = 300.0
@@ -53,7 +53,7 @@ _INITIAL_CLEARANCE_STEP = 0.25
 _INITIAL_MASS_STEP = 0.3
 # Tolerance of the logarithms of clearances and mass ratios that ends a search: 0.2 %.
 _LOG_TOLERANCE = 2e-3
-#: Best trials that the final comparison computes again on the fine grid, which can change their order.
+#: Number of best trials that the final comparison computes again on the fine grid, which can change their order.
 FINAL_DESIGNS = 3
 
 

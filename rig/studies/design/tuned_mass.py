@@ -26,7 +26,7 @@ from rig.core.system.structural_model import structural_model
 from rig.studies.design.choice import Objective
 from rig.studies.design.worst_peak import Peak, linear_peak
 
-#: Frequencies in the band for each peak: several for each half-power width.
+#: Number of frequencies in the band for each peak: several for each half-power width.
 FREQUENCIES = 600
 #: Number of dampers by Den Hartog's rule from which the search starts: those with the lowest peaks.
 STARTS = 3

@@ -24,9 +24,9 @@ from rig.studies.single_mode.periodic_motion import (
 
 # A gap in units of g/w^2, or an acceleration in g, may be a rounding error of zero up to this value.
 MAX_ROUNDING_ERROR = 1e-9
-# Samples of a phase in addition to those of its cycles; a phase may be shorter than a cycle.
+# Number of samples of a phase in addition to those of its cycles; a phase may be shorter than a cycle.
 _MIN_SAMPLES = 48
-# Samples per cycle of the faster oscillation: slopes of opposite sign then enclose each extremum.
+# Number of samples per cycle of the faster oscillation: slopes of opposite sign then enclose each extremum.
 _SAMPLES_PER_CYCLE = 24
 # Quadrature nodes of a phase, and of each cycle in it. The integrand is analytic, so the error of the quadrature
 # decreases exponentially with their number.

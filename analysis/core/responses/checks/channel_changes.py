@@ -37,11 +37,13 @@ _MIN_PERIODS = 2
 _MAX_SAMPLES = 32768
 # Longest section of a random test, in periods of the lowest frequency.
 _MAX_PERIODS = 100.0
-# Sections of a random test: their number limits the resolution of the time of a change, and the averages in each.
+# Number of sections of a random test: it limits the resolution of the time of a change, and the averages in each
+# section.
 _SECTIONS = 16
-# Evaluated parts of the test, to limit the computing time; if there are more parts, every n-th is evaluated.
+# Maximum number of evaluated parts of the test, to limit the computing time; if there are more parts, every n-th is
+# evaluated.
 _MAX_PARTS = 256
-# Values of the spectra of all parts in memory (64 MB), if at least `_SECTIONS` parts remain.
+# Maximum number of values of the spectra of all parts in memory (64 MB), if at least `_SECTIONS` parts remain.
 _MAX_VALUES = 1 << 22
 # A step is reported if it exceeds this fraction of the larger gain ...
 _MIN_CHANGE = 0.1

@@ -22,7 +22,7 @@ _SETTLED_BLOCKS = 32
 _MIN_BLOCKS = 16
 # A block drifts if its mean deviates from that of settled blocks by more than this number of their standard deviations.
 _DRIFT_SIGMAS = 5.0
-# Successive blocks without drift after which a channel is settled: a single block can agree by chance.
+# Number of successive blocks without drift after which a channel is settled: a single block can agree by chance.
 _SETTLED_IN_A_ROW = 3
 
 

@@ -66,7 +66,7 @@ _MIN_REDUCTION = 20.0
 # Another delay is a competing solution if it differs by more than this fraction of a period of the highest frequency,
 # and by more than twice the expanded uncertainty.
 _SEPARATION = 0.25
-# The delay is confirmed by parts of the lines, each without every third line.
+# Number of parts of the lines that must confirm the delay; each part omits every third line.
 _N_PARTS = 3
 # Two curves are late by the same time, or a curve is not late, within this fraction of the delay.
 _MAX_OTHER_DELAY = 0.2

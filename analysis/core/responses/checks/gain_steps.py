@@ -26,7 +26,7 @@ from rig.core.results.response import Response
 _POINTS_PER_SIDE = 8
 # Degree of the polynomials on both sides.
 _DEGREE = 3
-# Iterations of the weighted linear fit.
+# Number of iterations of the weighted linear fit.
 _ITERATIONS = 3
 # Number of omitted lines on either side of a possible step if neighboring lines have common errors.
 _BLURRED_SIDE = 5

@@ -40,7 +40,7 @@ _ZERO_POWER = 1e-40
 # relative to the computed variance. Tuned on chains of bodies with 3 % of reference noise: with 0.001, the scatter was
 # twice the stated uncertainty.
 _UNCORRELATED = 0.05
-# Array elements of the noise covariances in memory at a time: 32 MB of complex values.
+# Maximum number of array elements of the noise covariances in memory at a time: 32 MB of complex values.
 _MAX_ELEMENTS = 1 << 21
 
 

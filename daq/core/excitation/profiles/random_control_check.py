@@ -13,7 +13,7 @@ from rig.core.system.open_loop_drive import accelerations_per_drive
 # Largest change of the drive density from line to line [dB]: the largest slope at a resonance, 20 / ln(10) dB over half
 # of its half-power width, if the width contains two lines.
 _MAX_STEP_DB = 8.69 / 2.0
-# Frequencies per line, so the peak between two lines is resolved.
+# Number of frequencies per line, so the peak between two lines is resolved.
 _OVERSAMPLING = 8
 # Largest reduction of the drive density by a limit at its end [dB].
 _MAX_END_DB = 3.0

@@ -34,7 +34,7 @@ _SIDEBANDS = np.arange(1, 101) / 200.0
 _MIN_RESONANCE_AMPLIFICATION = 1.25
 # The largest slope within this relative distance yields the damping ratio.
 _SLOPE_SEARCH_RATIO = 0.05
-# Frequencies at which the slope of the drive is computed, several for each half-power width.
+# Number of frequencies at which the slope of the drive is computed, several for each half-power width.
 _N_FREQUENCIES = 2000
 # The response is computed in a band that is wider than that of the test by this factor at each end: sidebands farther
 # from the tone have a negligible effect on an observation.

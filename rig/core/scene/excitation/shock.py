@@ -24,7 +24,7 @@ PULSE_POSITION = 0.4
 _MIN_WIDTHS = 20.0
 # Shortest interval between pulses, in periods of the lowest frequency of a spectrum.
 _MIN_PERIODS = 20.0
-# Shock frequencies per octave of a spectrum, as usual in shock tests.
+# Number of frequencies per octave of a spectrum, as usual in shock tests.
 _PER_OCTAVE = 6
 
 

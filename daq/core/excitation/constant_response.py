@@ -93,7 +93,7 @@ class HeldMotion(EnvelopeTone):
             settled = settled and not held.growth
             if not settled and growth * self.dead_time > MAX_POLE_TIMES_DEAD_TIME:
                 self.lost.append((growth, self.dead_time))
-        self.mark_measured(first, held, settled and held.repetition > 0, **fields)
+        self.mark_measured(first, held, settled, **fields)
 
 
 class ConstantResponseProcedure(StepsProcedure["ConstantResponse"]):
@@ -126,7 +126,7 @@ class ConstantResponseProcedure(StepsProcedure["ConstantResponse"]):
             raise AbortedTest(" ".join([f"the motion of {test.at} reached the level at no frequency.", *messages]))
         for message in messages:
             station.warn(message)
-        tone.warn_of_multiples()
+        tone.warn_of_repetitions()
 
     def part(self, test: ConstantResponse, seconds: float, scene: Scene) -> ConstantResponse:
         """Return the highest level at evenly spaced frequencies of the test."""

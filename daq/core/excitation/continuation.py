@@ -33,7 +33,7 @@ from daq.core.excitation.tones.envelope_control import (
     MAX_POLE_TIMES_DEAD_TIME,
 )
 from rig.core.base.arrays import Array
-from rig.core.results.text import format_decimals, format_frequencies
+from rig.core.results.text import format_decimals
 from rig.core.scene.excitation import Continuation
 from rig.core.scene.excitation.kind import KindOfTest
 from rig.core.scene.scene import Scene
@@ -70,6 +70,8 @@ _JUMP_RATIO = 2.0
 _MAX_RETURN_DEVIATION = 0.05
 # Lengths of the steps over a gap in the curve, in units of the length of a step.
 _GAP_STEP_LENGTHS = 1.0, 2.0, 4.0
+# Maximum number of gaps that a warning lists.
+_LISTED_GAPS = 3
 # Beyond a corner of the curve (grazing impacts), the frequency changes by this fraction of a step at a time, because
 # the response there cannot be extrapolated.
 _CORNER_RATIO = 0.25
@@ -103,7 +105,7 @@ class _Curve:
         self._drive = 0.0  # amplitude of the drive at the level, next to the last point
         self.folds = 0  # number of points at which the curve turned back
         self.gaps: list[tuple[float, float]] = []  # frequencies of the points at their ends [Hz]
-        self.irregular: list[float] = []  # frequencies at which the motion does not repeat [Hz]
+        self._is_irregular = False  # whether a motion did not repeat
 
     @property
     def unstable(self) -> bool:
@@ -151,7 +153,7 @@ class _Curve:
             if limitation := self._limitation():
                 raise Lost(limitation)
         cause, remedy = f"no steady state within {test.settle.longest:g} s", "increase test.settle.longest"
-        if self.irregular:
+        if self._is_irregular:
             cause, remedy = "the motion is irregular", "choose another level"
         raise Lost(
             f"{cause} from {test.from_:.5g} to {frequency:.5g} Hz. Start farther from the resonance, or {remedy}"
@@ -192,9 +194,9 @@ class _Curve:
                 return False
             first = station.now
             held = yield from tone.hold_envelope(samples, point.motion, feedback=False)
-        settled = not held.growth and held.invasive < _MAX_INVASIVE and held.repetition > 0
-        if not held.repetition and held.invasive < _MAX_INVASIVE:
-            self.irregular.append(point.frequency)
+        # The amplitude of an irregular motion can also grow.
+        settled = held.invasive < _MAX_INVASIVE and not (held.growth and held.repetition)
+        self._is_irregular |= settled and not held.repetition
         tone.mark_measured(
             first,
             held,
@@ -205,7 +207,7 @@ class _Curve:
             direction="up",
             jump=jump,
         )
-        if not settled:
+        if not (settled and held.repetition):
             return False
         self._drive = abs(held.drive) * self._level / point.level
         self.points.append(point)
@@ -420,6 +422,16 @@ def _next_position(visited: Sequence[tuple[float, float]], slope: float, length:
     return None if any(candidate == other for other, _ in visited) else candidate
 
 
+def format_gaps(gaps: Sequence[tuple[float, float]]) -> str:
+    """List the first gaps in the curve, in Hz, and the number of the others.
+
+    >>> format_gaps([(30.0, 29.5), (27.0, 26.5), (25.0, 24.5), (23.0, 22.5), (21.0, 20.5)])
+    '30 to 29.5, 27 to 26.5, 25 to 24.5 Hz and in 2 more ranges'
+    """
+    listed = ", ".join(f"{start:.5g} to {end:.5g}" for start, end in gaps[:_LISTED_GAPS]) + " Hz"
+    return f"{listed} and in {len(gaps) - _LISTED_GAPS} more ranges" if len(gaps) > _LISTED_GAPS else listed
+
+
 class ContinuationProcedure(SteadyTonesProcedure["Continuation"]):
     """A tone that follows the response curve of each level."""
 
@@ -440,20 +452,13 @@ class ContinuationProcedure(SteadyTonesProcedure["Continuation"]):
             except Lost as loss:
                 failures.append(f"{at_level}, {len(curve.points)} points: {loss}.")
                 useless += not curve.folds
-            if curve.irregular:
-                frequencies = [*curve.irregular, *(point.frequency for point in curve.points)]
-                is_irregular = [k < len(curve.irregular) for k in range(len(frequencies))]
-                station.warn(
-                    f"{at_level}: the motion is irregular at {format_frequencies(frequencies, is_irregular)}. These "
-                    "points are omitted. Choose a level with a periodic motion, often a higher one."
-                )
             if curve.gaps:
-                ends = ", ".join(f"{start:.5g} to {end:.5g}" for start, end in curve.gaps)
                 station.warn(
-                    f"{at_level}: no points from {ends} Hz, where no steady motion was found: the period has doubled, "
-                    "or the impacts in a period change. Folds in this range are not measured. Reduce test.step."
+                    f"{at_level}: no points from {format_gaps(curve.gaps)}, where no steady motion was found: the "
+                    "period has doubled, or the impacts in a period change. Folds in this range are not measured. "
+                    "Reduce test.step."
                 )
-            tone.warn_of_multiples()
+            tone.warn_of_repetitions()
             yield tone.end()
         if useless == len(test.levels):
             raise AbortedTest(failures[0])

@@ -14,8 +14,9 @@ from daq.core.excitation.station import AbortedTest, Excitation, Station
 from daq.core.excitation.stepped_sine import SteadyTonesProcedure
 from daq.core.excitation.tones.phase_loop import PhaseLoop
 from daq.core.excitation.tones.phase_plant import loop_settings
+from daq.core.excitation.tones.repeating_tone import RepeatingTone
 from daq.core.excitation.tones.settling import Settling
-from daq.core.excitation.tones.steady_tone import TRANSITION_S, WINDOW_S, SteadyTone
+from daq.core.excitation.tones.steady_tone import TRANSITION_S, WINDOW_S
 from rig.core.base.arrays import Array
 from rig.core.results.text import format_decimals
 from rig.core.scene.excitation import PhaseResonance
@@ -44,18 +45,20 @@ class _Window(NamedTuple):
     phase: float  # rad
 
 
-class _PhaseTone(SteadyTone):
+class _PhaseTone(RepeatingTone):
     """A tone whose frequency follows the phase."""
 
     def __init__(self, station: Station, test: PhaseResonance) -> None:
-        super().__init__(station, test.frequency, controlled(station))
-        self._test, self._quantities = test, (displacement(station, test.at), measured_force(station))
+        super().__init__(station, test.frequency, controlled(station), displacement(station, test.at), test.settle)
+        self._test, self._quantities = test, (self._quantity, measured_force(station))
+        self.samples = np.empty(0)  # of the first channel of the motion, in the last window
         self._settings = loop_settings(station.scene, station.latency / station.rate)
 
     def window_of(self, samples: int) -> Generator[Array, Array, _Window]:
         """Hold the tone for a window."""
         tone = [self.frequency], [self.phase]
         readings = yield self.station.drive(self.hold(samples))
+        self.samples = readings[self._quantity.rows[0]]
         motion, force = (
             -1j * self.amplitude if quantity is None else complex(quantity.amplitudes(readings, *tone)[0])
             for quantity in self._quantities
@@ -110,12 +113,14 @@ class PhaseResonanceProcedure(SteadyTonesProcedure["PhaseResonance"]):
     """A tone that follows a resonance."""
 
     form = Form("phase resonance", ("level", "frequency", "low", "high"))
+    waits_for_sensors = True
     duration_ratio = 2.0
 
     def excite(self, station: Station, test: PhaseResonance) -> Excitation:
         """Lock the phase at each level, and measure at constant frequency; raise `AbortedTest` without any lock."""
         tone, failures = _PhaseTone(station, test), list[str]()
         frequency, drive = test.frequency, 0.0
+        yield from tone.measure_noise()
         for number, level in enumerate(test.levels):
             status = f"level {station.level_text(level)}, {format_decimals(tone.frequency, 3)} Hz"
             station.report(number / len(test.levels), status)
@@ -144,19 +149,22 @@ class PhaseResonanceProcedure(SteadyTonesProcedure["PhaseResonance"]):
                     locked = locked and within
                     break
                 locked, _ = yield from tone.lock()
+            repetition = tone.repetition(tone.samples, abs(measured.motion))
             station.mark(
                 "measure",
                 begin,
                 station.now,
                 drive=tone.amplitude,
                 force=abs(measured.force),
-                settled=locked,
+                settled=locked and repetition > 0,
                 frequency=tone.frequency,
                 phase=measured.phase,
+                repetition=repetition,
                 **fields,
             )
             if locked:
                 frequency, drive = tone.frequency, tone.amplitude
+                tone.add_repetition(level, repetition)
             else:
                 failures.append(_failure(station, test, tone, level, measured))
         yield tone.end()
@@ -164,6 +172,7 @@ class PhaseResonanceProcedure(SteadyTonesProcedure["PhaseResonance"]):
             raise AbortedTest(failures[0])
         for message in failures:
             station.warn(message)
+        tone.warn_of_repetitions()
         station.report(1.0, "done")
 
     def waits(self, test: PhaseResonance, scene: Scene) -> float:

@@ -7,7 +7,8 @@ import pytest
 
 import daq
 import rig
-from daq.core.excitation.tones.envelope_control import EnvelopeControl, irregularity
+from daq.core.excitation.tones.envelope_control import EnvelopeControl
+from daq.core.excitation.tones.repeating_tone import irregularity
 from rig.core.base.arrays import Array
 from rig.core.base.errors import RunError, SceneError
 from rig.core.system.structural_model import receptance
@@ -64,7 +65,8 @@ PERIODS, PER_PERIOD = 20, 64
 def of_modulated(amplitudes: Array) -> float:
     """Return the irregularity of a motion with these amplitudes in successive periods."""
     turn = np.arange(PERIODS * PER_PERIOD) / PER_PERIOD
-    return min(irregularity(np.repeat(amplitudes, PER_PERIOD) * np.sin(2.0 * np.pi * turn), 1.0, float(PER_PERIOD)))
+    motion = np.repeat(amplitudes, PER_PERIOD) * np.sin(2.0 * np.pi * turn)
+    return min(irregularity(motion, 1.0, float(PER_PERIOD))[:4])
 
 
 def logistic_map(growth: float) -> Array:
@@ -89,7 +91,7 @@ def test_motion_beside_harmonics_is_irregular() -> None:
     # The envelope at the frequency itself is constant.
     turn = np.arange(PERIODS * PER_PERIOD) / PER_PERIOD
     motion = np.sin(2.0 * np.pi * turn) + 0.02 * np.sin(2.0 * np.pi * 0.382 * turn)
-    assert min(irregularity(motion, 1.0, float(PER_PERIOD))) > 0.004
+    assert min(irregularity(motion, 1.0, float(PER_PERIOD))[:4]) > 0.004
 
 
 @pytest.fixture(scope="module")

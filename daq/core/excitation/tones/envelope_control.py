@@ -9,22 +9,20 @@ In steady state U is constant, so the drive is a pure tone even if the motion ha
 change the motion that it holds. (J. Sieber, B. Krauskopf, Nonlinear Dynamics 51 (2008) 365.)
 """
 
-from collections import defaultdict, deque
+from collections import deque
 from collections.abc import Generator, Sequence
-from math import ceil
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from daq.core.excitation.controlled import Controlled
 from daq.core.excitation.lock_in import min_samples
-from daq.core.excitation.sensor_settling import wait_for_sensors
 from daq.core.excitation.station import Station
 from daq.core.excitation.tones.nearest_mode import NearestMode
+from daq.core.excitation.tones.repeating_tone import RepeatingTone
 from daq.core.excitation.tones.settling import Settling
-from daq.core.excitation.tones.steady_tone import MAX_TOLERANCE, TRANSITION_S, SteadyTone, half_cosine
+from daq.core.excitation.tones.steady_tone import MAX_TOLERANCE, TRANSITION_S, half_cosine
 from rig.core.base.arrays import Array, ComplexArray
-from rig.core.results.text import format_frequencies
 from rig.core.scene.excitation import FORCE_TOLERANCE
 from rig.core.scene.excitation.kind import Settle
 
@@ -56,18 +54,6 @@ _REDUCED_GAIN = 0.5
 AVERAGED_WINDOWS = 12
 # In steady state, the drives of these windows have at most this relative standard deviation.
 _MAX_SCATTER = 0.01
-# A motion that repeats after at most this number of periods of the tone is periodic.
-_MAX_REPEATED_PERIODS = 4
-# A smaller relative difference of successive periods is no multiple of the period: it may be a transient that decays
-# slowly next to a doubling of the period, and it changes the amplitude at the tone by its square only.
-_MIN_MULTIPLE = 0.01
-# Orders of the tone's frequency at which successive periods are compared. Hann windows of two periods at these orders
-# cover the band from 0 to 2.5, without the drift of integrated channels at 0.
-_COMPARED_ORDERS = 1.0, 1.5
-# Number of windows at rest from which the noise is estimated, to 20 %.
-_NOISE_WINDOWS = 12
-# Assumed ratio of the noise variance in a measurement to that at rest, which a few windows determine only roughly.
-_NOISE_MARGIN = 2.0
 # The motion has left its target if it deviates by more than this multiple of the tolerance; it scatters by less.
 _LEFT_RATIO = 2.0
 
@@ -131,22 +117,18 @@ class Held(NamedTuple):
     repetition: int  # number of periods of the tone after which the motion repeats, as far as noise permits; 0: none
 
 
-class EnvelopeTone(SteadyTone):
+class EnvelopeTone(RepeatingTone):
     """A tone with a complex amplitude, and a model of the mode nearest to it (`NearestMode`)."""
 
     # Length of a control window, periods. Three periods contain the impacts of several cycles.
     periods = 3.0
 
     def __init__(self, station: Station, frequency: float, controlled: Controlled, settle: Settle) -> None:
-        super().__init__(station, frequency, controlled)
-        self._quantity, self._settle = controlled, settle
+        super().__init__(station, frequency, controlled, controlled, settle)
         self.forget_mode()
         self.direction = 1.0 + 0j  # phase of the drive relative to that of the envelopes, as e^{i phase}
         self.motion = 0j  # last envelope of the controlled motion [m]
-        self.noise = 0.0  # standard deviation of the envelope in a window by noise [m]
         self.scatter = 0.0  # relative standard deviation of the last drives
-        # Frequencies [Hz] and repetitions of the steady motions at each level.
-        self._repetitions = defaultdict[float, list[tuple[float, int]]](list)
         self._readings: list[Array] = []  # of the first channel of the motion, since the last measurement began
         self._observed = 0.0, 0j, 0j  # frequency and envelopes of motion and drive in the last observation of the mode
 
@@ -189,17 +171,6 @@ class EnvelopeTone(SteadyTone):
         amplitudes = yield from super().observe(samples)
         self._add(amplitudes[0, 0] * self.direction, self.envelope, samples)
         return amplitudes
-
-    def measure_noise(self) -> Generator[Array, Array, None]:
-        """Estimate the noise of the envelope at rest, at the current frequency, and the noise of the quantization."""
-        yield from wait_for_sensors(self.station)
-        envelopes = []
-        for _ in range(_NOISE_WINDOWS):
-            envelopes.append((yield from super().observe(self.window))[0, 0])
-        steps = [(info.volts_per_count or 0.0) / info.sensitivity for info in self.station.channels]
-        # White noise with the variance step^2 / 12 has the variance step^2 / (3 n) in an amplitude from n samples.
-        quantization = float(np.linalg.norm(self._quantity.weights(self.frequency) * steps)) / (3 * self.window) ** 0.5
-        self.noise = float(np.hypot(np.std(envelopes), quantization))
 
     def steer(self, drive: complex) -> Generator[Array, Array, ComplexArray]:
         """Change the envelope of the drive to `drive` in one control window; return the envelopes of all quantities."""
@@ -299,43 +270,23 @@ class EnvelopeTone(SteadyTone):
             drives.append(self.envelope)
         motion, drive = complex(np.mean(motions)), complex(np.mean(drives))
         invasive = float(np.sqrt(np.mean(abs(np.array(drives) - drive) ** 2))) / max(abs(drive), 1e-300)
-        noise = _NOISE_MARGIN**0.5 * self.noise / max(abs(motion), 1e-300)
-        tolerance = float(np.hypot(FORCE_TOLERANCE, noise))
+        tolerance = float(np.hypot(FORCE_TOLERANCE, self.relative_noise(abs(motion))))
         growth = _growth(np.array(motions), target, window / self.rate, tolerance)
-        # The windows of the comparison have two periods, and a Hann window has 1.5 times the noise.
-        noise *= (1.5 * len(_COMPARED_ORDERS) * window * self.frequency / self.rate / 2.0) ** 0.5
         # Changes of the drive change the motion by |b dU| = |l X dU / U| a second, until the motion repeats.
         pole = abs(self._gain * drive) / max(abs(motion), 1e-300)
-        controlled = _MAX_REPEATED_PERIODS * pole / self.frequency * invasive
-        # The force of a motion that does not repeat differs from that of the orbit by about as much as its periods.
-        largest = float(np.linalg.norm([self._settle.tolerance, noise, controlled]))
-        differences = irregularity(np.concatenate(self._readings), self.frequency, self.rate)
-        repetition = next((lag for lag, difference in enumerate(differences, 1) if difference < largest), 0)
-        if repetition and differences[0] < _MIN_MULTIPLE:
-            repetition = 1
+        changes = pole / self.frequency * invasive if feedback else 0.0
+        repetition = self.repetition(np.concatenate(self._readings), abs(motion), changes)
         return Held(motion, drive, invasive, growth, repetition)
 
     def mark_measured(self, first: int, held: Held, settled: bool, **fields: Any) -> None:
-        """Mark the measurement from a given sample to the current sample."""
+        """Mark the measurement from a given sample to the current sample; `settled`: whether its envelope is steady."""
         self.station.mark(
             "measure", first, self.station.now, drive=abs(held.drive),
             force=abs(held.drive) if self.station.force_is_drive else None,
-            settled=settled, invasive=held.invasive, repetition=held.repetition, **fields,
+            settled=settled and held.repetition > 0, invasive=held.invasive, repetition=held.repetition, **fields,
         )  # fmt: skip
         if settled:
-            self._repetitions[fields["level"]].append((self.frequency, held.repetition))
-
-    def warn_of_multiples(self) -> None:
-        """Warn of the motions since the last call that repeat only after several periods of the tone."""
-        for level, motions in self._repetitions.items():
-            frequencies, repetitions = zip(*motions, strict=True)
-            for repetition in sorted({*repetitions} - {1}):
-                where = format_frequencies(frequencies, [each == repetition for each in repetitions])
-                self.station.warn(
-                    f"level {self.station.level_text(level)}: motions repeat after {repetition} periods of the "
-                    f"tone at {where}. Their amplitudes are those at the frequency of the tone, without subharmonics."
-                )
-        self._repetitions.clear()
+            self.add_repetition(fields["level"], held.repetition)
 
 
 def _growth(motions: ComplexArray, target: float, window: float, tolerance: float) -> float:
@@ -349,34 +300,3 @@ def _growth(motions: ComplexArray, target: float, window: float, tolerance: floa
     latest = np.maximum(deviation, 1e-9)
     middle = latest.size // 2
     return float(max(np.log(latest[-1] / latest[middle]) / ((latest.size - 1 - middle) * window), 1e-9))
-
-
-def irregularity(samples: Array, frequency: float, rate: float) -> list[float]:
-    """Return the differences of a motion after 1, 2, ... periods, relative to its amplitude at its frequency in Hz.
-
-    Chaotic and quasi-periodic motions do not repeat, even if their envelopes at the frequency are nearly constant. The
-    effect of slow drift is negligible. `rate`: sample rate [Hz].
-
-    >>> t = np.arange(400)
-    >>> doubled, beating = (np.sin(t) + 0.1 * np.sin(ratio * t) for ratio in (0.5, 0.43))
-    >>> [difference < 1e-3 for difference in irregularity(doubled, 1.0, 2.0 * np.pi)]
-    [False, True, False, True]
-    >>> min(irregularity(beating, 1.0, 2.0 * np.pi)) > 0.02
-    True
-    """
-    period = rate / frequency
-    # Amplitudes in Hann windows of two periods that begin one period apart, shape (windows, orders).
-    rows = []
-    for start in range(max(int(samples.size / period + 1e-6) - 1, 1)):
-        first = ceil(start * period)
-        inside = samples[first : ceil((start + 2) * period)]
-        local = (first + np.arange(inside.size)) / period - start
-        window = np.sin(0.5 * np.pi * local) ** 2
-        turns = [np.exp(-2j * np.pi * order * local) for order in _COMPARED_ORDERS]
-        rows.append([2.0 * np.sum(window * turn * inside) / np.sum(window) for turn in turns])
-    amplitudes = np.array(rows)
-    scale = 2.0**0.5 * max(abs(complex(np.mean(amplitudes[:, 0]))), 1e-300)
-    return [
-        float(np.sqrt(np.mean(np.sum(abs(amplitudes[lag:] - amplitudes[:-lag]) ** 2, axis=1)))) / scale
-        for lag in range(1, min(_MAX_REPEATED_PERIODS, len(rows) // 2) + 1)
-    ] or [0.0]

@@ -1,6 +1,7 @@
 """Figure of frequency responses: magnitude with its 95 % band, phase and coherence."""
 
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -41,6 +42,8 @@ _ZERO_RATIO = 1e-9
 # Upper ends of the phase axis [degrees], the preferred first: compliances of a driven body are from 0° to -180°, also
 # with scatter. A phase that passes through all angles wraps on a side of a resonance, not at its center.
 _PHASE_TOPS = (30.0, 120.0, 210.0)
+# Margin of the phase axis, in which a phase that exceeds the end for a short time is not wrapped [degrees].
+_WRAP_MARGIN = 15.0
 # Height of the strip that marks undetermined points, relative to the axes.
 _STRIP_HEIGHT = 0.012
 # Distance between the symbols of curves with many lines, relative to the diagonal of the axes.
@@ -327,8 +330,20 @@ def break_at_wraps(frequency: Array, angle: Array, values: Array | None = None) 
 
 
 def phase_degrees(value: ComplexArray, top: float = _PHASE_TOPS[0]) -> Array:
-    """Return the phase in degrees, from `top` - 360 to `top`."""
-    return top - np.mod(top - np.degrees(np.angle(value)), 360.0)
+    """Return the phase in degrees, from `top` - 360 to `top`.
+
+    A piece of a curve between two wraps that stays within the margin of the axis is not wrapped.
+    """
+    angle = top - np.mod(top - np.degrees(np.angle(value)), 360.0)
+    with np.errstate(invalid="ignore"):
+        wraps = np.flatnonzero(abs(np.diff(angle)) > 180.0) + 1
+    for start, stop in pairwise(wraps.tolist()):
+        piece = angle[start:stop]
+        if (abs(piece - top) < _WRAP_MARGIN).all():
+            piece -= 360.0
+        elif (abs(piece - top + 360.0) < _WRAP_MARGIN).all():
+            piece += 360.0
+    return angle
 
 
 def phase_ticks(top: float) -> list[float]:

@@ -6,14 +6,15 @@ from typing import Any
 import numpy as np
 
 from analysis.commands.figures.determined_lines import determined_band, is_determined
-from analysis.commands.figures.frf_figure import intervals_text, unstated_tolerances
+from analysis.commands.figures.frf_figure import MAX_MARKED, intervals_text, unstated_tolerances
+from analysis.core.modal.mode_warnings import extrapolates_damping
 from analysis.core.modal.modes import Modes
 from rig.core.base.arrays import Array
 from rig.core.base.escaping import escape_figure
 from rig.core.base.figure_style import add_legend_below, add_title, frequency_axis, log_axis, new_figure
 from rig.core.base.figure_types import Figure
 from rig.core.base.palette import faded, location_styles
-from rig.core.results.response import MAX_MARKERS, Response
+from rig.core.results.response import Response
 from rig.core.results.uncertainty import expand
 
 # A mode shape is faded if the expanded uncertainty of a component exceeds this fraction of the largest component.
@@ -21,6 +22,10 @@ MAX_SHAPE_BOUND = 0.5
 _FADED = 0.35
 # Error bars are cut at this length, because longer bars are wider than the panel.
 _WIDEST_BAR = 3.0
+# A mode is poorly stabilized if its poles are stable at less than this fraction of the model orders.
+_MIN_STABLE = 0.25
+# A stable pole belongs to a mode if their frequencies differ by at most this fraction.
+_MODE_WIDTH = 0.05
 # Number of mode shapes side by side; with more, their titles would overlap.
 _MAX_COLUMNS = 5
 
@@ -30,11 +35,11 @@ def is_known_shape(bounds: Array) -> bool:
     return bool(np.all(bounds <= MAX_SHAPE_BOUND))
 
 
-def modes_figure(frfs: Sequence[Response], modes: Modes, title: str) -> Figure:
+def modes_figure(frfs: Sequence[Response], modes: Modes, title: str, remarks: Sequence[str] = ()) -> Figure:
     """Draw measured FRFs with the modal model, the stabilization diagram and the mode shapes.
 
     `frfs`: the FRFs from which `analysis.core.modal.identification.identify` estimated the modes. If they have several
-    inputs, only the FRFs of the modes' input are drawn.
+    inputs, only the FRFs of the modes' input are drawn. `remarks`: sentences for the caption.
     """
     several = len({frf.input for frf in frfs}) > 1
     curves = [frf.to("displacement").with_gaps() for frf in frfs if not several or frf.input == modes.input]
@@ -51,7 +56,7 @@ def modes_figure(frfs: Sequence[Response], modes: Modes, title: str) -> Figure:
         dense = np.unique(np.append(np.geomspace(low, high, 1500), near_peaks))
         dense = dense[(dense >= low) & (dense <= high)]
         # Few points are drawn as dots with a line for the model, many points as a broad line with a thin line.
-        is_sparse = curves[0].frequency.size <= MAX_MARKERS
+        is_sparse = curves[0].frequency.size <= MAX_MARKED
         styles = location_styles([curve.outputs[0].at for curve in curves])
         unit, factor = curves[0].shown_in
         for index, (curve, style) in enumerate(zip(curves, styles, strict=True)):
@@ -82,11 +87,15 @@ def modes_figure(frfs: Sequence[Response], modes: Modes, title: str) -> Figure:
             magnitude_axes.axvline(frequency, color="#777777", lw=0.7, ls=":", zorder=0)
         bodies = modes.of_bodies()
         heights = np.arange(1, len(bodies.names) + 1)
+        is_extrapolated, orders = extrapolates_damping(modes, frfs), {pole.order for pole in modes.chart}
         for i in range(count):
             row, column = divmod(i, columns)
             axes = figure.add_subplot(rows[2 + row, column])
             shape, bound = bodies.shapes[:, i].real, expand(bodies.errors[:, i])
-            opacity = 1.0 if is_known_shape(bound) else _FADED
+            is_near = (abs(pole.frequency / modes.frequency[i] - 1.0) <= _MODE_WIDTH for pole in modes.chart)
+            stable = {pole.order for pole, near in zip(modes.chart, is_near, strict=True) if pole.stable and near}
+            is_poor = len(stable) < _MIN_STABLE * len(orders)
+            opacity = 1.0 if is_known_shape(bound) and not is_poor else _FADED
             axes.plot(np.append(0, shape), np.append(0, heights), "o-", color="#333333", alpha=opacity)
             xerr = np.minimum(np.nan_to_num(bound, posinf=_WIDEST_BAR), _WIDEST_BAR)
             axes.errorbar(shape, heights, xerr=xerr, fmt="none", ecolor="#333333", capsize=2, lw=0.9, alpha=opacity)
@@ -96,6 +105,11 @@ def modes_figure(frfs: Sequence[Response], modes: Modes, title: str) -> Figure:
             arrow = {"arrowstyle": "->", "color": "#555555"}
             axes.annotate("", (0.98, 0.08), (0.84, 0.08), arrowprops=arrow, **positive)
             axes.annotate("+", (0.82, 0.08), (0.82, 0.08), ha="right", color="#555555", **positive)
+            notes = ["damping extrapolated"] * bool(is_extrapolated[i])
+            notes += [f"stable at {len(stable)} of {len(orders)} orders"] * is_poor
+            axes.annotate(
+                "\n".join(notes), (0.02, 0.97), xycoords="axes fraction", va="top", fontsize=7.5, color="#555555"
+            )
             names = ["ground", *map(escape_figure, bodies.names)] if column == 0 else [""] * (heights.size + 1)
             axes.set_yticks(np.append(0, heights), names)
             axes.set_title(
@@ -105,6 +119,6 @@ def modes_figure(frfs: Sequence[Response], modes: Modes, title: str) -> Figure:
         data = "Points" if is_sparse else "Broad and pale"
         add_legend_below(
             figure, f"{data}: measured. Lines: modal model. ±: {intervals_text(unstated_tolerances(frfs))}.",
-            "Shapes: the largest element is +1.",
+            "Shapes: the largest element is +1.", *remarks,
         )  # fmt: skip
         return figure

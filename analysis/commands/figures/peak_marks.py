@@ -28,6 +28,8 @@ _MIN_PEAK_EXCESS = 0.01
 _CONTAINING_RATIO = 0.99
 # A peak at a line with a smaller coherence is a peak of the noise, and is not marked.
 _MIN_PEAK_COHERENCE = 0.9
+# In a spectrum, peaks at its lines are labeled from this fraction of the highest peak on; lower peaks may be noise.
+_MIN_LABELED = 0.1
 # A peak is marked if it is the highest point within this relative distance in frequency, so labels do not overlap.
 _PEAK_RANGE = 0.05
 #: Largest relative difference of the frequencies of one mode in two recordings: dampers shift the frequencies.
@@ -135,24 +137,25 @@ def label_peaks(marks: Sequence[tuple[PeakMark, str]], frf: Response, axes: Axes
     groups: list[tuple[float, PeakMark, list[str], list[float]]] = []
     taken: list[tuple[float, float]] = []
     has_rings = False
+    highest_peak = max((mark.height for mark, _ in marks), default=0.0)
     for mark, color in sorted(marks, key=lambda pair: (pair[0].symbol == "points", -pair[0].height)):
         point = mark.frequency, factor * mark.height
         near = [group for group in groups if abs(to_axes.transform(point)[0] - group[0]) <= _LABEL_WIDTH]
         is_close = bool(near)
         if mark.symbol == "points":
             near += [group for group in groups if abs(mark.frequency / group[1].frequency - 1.0) < MODE_SHIFT]
-            if not near and frf.frequency.size > MAX_POINTS:
+            if not near and frf.frequency.size > MAX_POINTS and mark.height < _MIN_LABELED * highest_peak:
                 # In a spectrum it may be noise; it is labeled near a marked peak, for comparison.
                 continue
         if not near:
             groups.append((to_axes.transform(point)[0], mark, [], []))
             near = groups[-1:]
         _, highest, labeled, beside = near[0]
-        sides = [side for side in ((1.0, -1.0) if labeled else (1.0,)) if _is_free(axes, point, side, taken)]
+        base = 22 if mark.symbol == "arrows" else 5
+        sides = [side for side in ((1.0, -1.0) if labeled else (1.0,)) if _is_free(axes, point, side, taken, base - 5)]
         is_same = abs(mark.frequency / highest.frequency - 1.0) < MODE_SHIFT
         if color in labeled or not is_same or not (sides or is_close or mark is highest):
             continue
-        base = 22 if mark.symbol == "arrows" else 5
         vertical: dict[str, Any] = {"va": "bottom"} if not sides or sides[0] > 0.0 else {"va": "top"}
         offset = (0.0, base if vertical["va"] == "bottom" else -base)
         style: dict[str, Any] = {"xytext": offset, "textcoords": "offset points", "ha": "center", **vertical}
@@ -164,6 +167,9 @@ def label_peaks(marks: Sequence[tuple[PeakMark, str]], frf: Response, axes: Axes
             style |= {"ha": "left" if direction > 0.0 else "right", "va": "bottom"}
             style["arrowprops"] = {"arrowstyle": "-", "color": color, "lw": 0.6, "shrinkA": 0, "shrinkB": 3}
             beside.append(direction)
+        elif not sides:
+            # The label of the highest peak is beside a curve that is above it.
+            style |= {"ha": "right", "xytext": (-3.0, offset[1])}
         axes.annotate(
             peak_label(mark), point, fontsize=7.5, color=color, zorder=5,
             path_effects=[withStroke(linewidth=2.0, foreground="white")], **style,
@@ -183,9 +189,15 @@ def peak_label(mark: PeakMark) -> str:
     return "undetermined" if mark.symbol == "undetermined" else f"{mark.frequency:#.{digits}g} Hz"
 
 
-def _is_free(axes: Axes, point: tuple[float, float], side: float, taken: Iterable[tuple[float, float]]) -> bool:
-    """Return whether a label above (`side` 1) or below (-1) a point hides no curve and no label at `taken` [pixels]."""
+def _is_free(
+    axes: Axes, point: tuple[float, float], side: float, taken: Iterable[tuple[float, float]], distance: float = 0.0
+) -> bool:
+    """Return whether a label above (`side` 1) or below (-1) a point hides no curve and no label at `taken` [pixels].
+
+    `distance` of the label from its usual place [points].
+    """
     x, y = axes.transData.transform(point)
+    y += side * distance * axes.figure.dpi / 72.0
     width, height = _LABEL_WIDTH * axes.bbox.width, 2.0 * _LABEL_POINTS * axes.figure.dpi / 72.0
     if any(abs(x - at) < width and abs(y + 0.5 * side * height - level) < 0.6 * height for at, level in taken):
         return False

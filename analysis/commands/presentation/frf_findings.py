@@ -84,7 +84,7 @@ def present_frf(
     moving: dict[str, bool] = {}
     excitations: dict[str, str] = {}
     acquisitions: set[str] = set()
-    remarks: list[str] = []
+    validity: dict[str, list[str]] = {}
     for path, label in zip(paths, labels(recordings, paths), strict=True):
         if is_frf_file(path):
             file_curves = read_curves(path, reference, response, unit)
@@ -98,8 +98,7 @@ def present_frf(
         curves += [relabel(frf, rec.scene.name, label) for group in groups for frf in group]
         moving[label], excitations[label] = not rec.scene.is_linear, excitation_text(rec)
         if texts := validity_texts(rec):
-            text = f"{'; '.join(texts)}."
-            remarks.append(f"{label}: {text}" if len(paths) > 1 else text[0].upper() + text[1:])
+            validity.setdefault(f"{'; '.join(texts)}.", []).append(label)
         acquisitions.add(acquisition_text(rec, groups[0][0], blocks.title(rec.test.kind)))
         warnings += with_recording_name(path, [warning for group in groups for warning in group[0].warnings])
         tolerance_remarks += stated_tolerances(rec, [frf for group in groups for frf in group])
@@ -107,6 +106,10 @@ def present_frf(
             from analysis.commands.presentation.theory import linear_theory
 
             theory_curves += [linear_theory(rec, frf) for frf in groups[0]]
+    remarks = [
+        text[0].upper() + text[1:] if len(named) == len(paths) else f"{', '.join(named)}: {text}"
+        for text, named in validity.items()
+    ]
     files = _draw_figures(curves, theory_curves, stem, baseline_label(moving), excitations, acquisitions, remarks)
     files.append(frf_table(table, curves))
     lines = (*describe_frfs(curves), *dict.fromkeys(tolerance_remarks), *missing_tolerances(curves))

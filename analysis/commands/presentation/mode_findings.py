@@ -23,7 +23,7 @@ from analysis.commands.presentation.theory import TheoreticalModes
 from analysis.core.modal.identification import identify
 from analysis.core.modal.modes import Modes, mac
 from analysis.core.modal.roving_hammer import exchange_points
-from analysis.core.recordings.names import OpenRecordings, full_test_text, relabel, with_recordings
+from analysis.core.recordings.names import OpenRecordings, full_test_text, relabel, validity_texts, with_recordings
 from analysis.core.responses.estimator import Blocks
 from analysis.core.responses.frequency_responses import frequency_responses
 from analysis.core.responses.measurands import default_reference
@@ -111,7 +111,8 @@ def present_modes(
             all_modes.append(modes)
             stem = first if number == 1 else first.with_name(f"{first.name}-{number}")
             title = f"Modes: {modes.label}{'' if rec is None else f' ({full_test_text(rec)})'}"
-            files += save_figure(modes_figure(frfs, modes, title), stem)
+            remarks = [] if rec is None else [f"{text[0].upper()}{text[1:]}." for text in validity_texts(rec)]
+            files += save_figure(modes_figure(frfs, modes, title, remarks), stem)
             unlike = theory is not None and not _has_near_frequency(modes, theory)
             theory = None if unlike else theory
             lines += [*describe_modes(modes, theory), *(f"  {text}" for text in missing_tolerances(frfs))]

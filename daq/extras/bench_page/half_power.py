@@ -24,6 +24,8 @@ _SCATTER_PERCENTILE = 25
 _SCATTER_LINES = 25
 # The half-power width must contain at least this number of lines; a smaller width is determined by the resolution.
 _MIN_WIDTH_LINES = 3.0
+# The phase decreases by 90° through the half-power width of a resonance; with less than this, a maximum is none [rad].
+_MIN_PHASE_DROP = np.pi / 3.0
 # A peak with a smaller coherence has no damping: the sweep is too fast for it, or it is noise.
 _MIN_COHERENCE = 0.7
 # Peaks belong to one resonance if their frequencies differ by less than this fraction; dampers split its peak.
@@ -81,6 +83,10 @@ def live_peaks(frequency: Array, response: ComplexArray, error: Array) -> list[L
         left, right = _crossing(magnitude, k, -1), _crossing(magnitude, k, 1)
         if not _is_prominent(bounded, k, min(bounded[k] / _MIN_RATIO, bounded[k] - _MIN_SCATTERS * scatter[k])):
             continue
+        if left is not None and right is not None:
+            inside = response[int(left) : int(np.ceil(right)) + 1]
+            if np.angle(inside[:-1] * inside[1:].conj()).sum() < _MIN_PHASE_DROP:
+                continue
         damping, expanded = None, 0.0
         if left is not None and right is not None and right - left >= _MIN_WIDTH_LINES:
             (low, high), spacing = np.interp([left, right], np.arange(frequency.size), frequency), np.diff(frequency)[k]

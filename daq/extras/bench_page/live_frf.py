@@ -176,6 +176,11 @@ class LiveFrf:
             strongest = int(mean_force.argmax())
             beyond = np.flatnonzero(~excited[strongest:])
             excited[strongest + beyond[0] if beyond.size else excited.size :] = False
+        else:
+            # A few successive lines are the main lobe of a tone, which is measured at the largest of them.
+            for (lobe,) in scipy.ndimage.find_objects(scipy.ndimage.label(excited)[0]):
+                if lobe.stop - lobe.start <= 2.0 * _LOBE_LINES:
+                    excited[lobe] = mean_force[lobe] == mean_force[lobe].max()
         force = np.where(excited, sums.force, np.nan)
         with np.errstate(divide="ignore", invalid="ignore"):
             # Without noise, rounding would exceed 1.

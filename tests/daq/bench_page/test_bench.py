@@ -301,6 +301,24 @@ def test_live_peak_next_to_a_gap_has_no_damping():
     assert peak.frequency == pytest.approx(10.0) and peak.damping is None
 
 
+def test_maximum_without_phase_drop_is_no_peak():
+    f = np.linspace(1.0, 20.0, 1901)
+    bump = 0.1 + np.exp(-((f - 10.0) ** 2)) + 0j
+    assert not live_peaks(f, bump, np.zeros(f.size))
+    assert live_peaks(f, bump * np.exp(-2j * np.arctan(f - 10.0)), np.zeros(f.size))
+
+
+@pytest.mark.parametrize("bench", ["sweep"], indirect=True)
+def test_client_tone_is_one_line(bench):
+    bench.controller.start_client_estimate()
+    frf = bench.monitor.frf
+    time = np.arange(8 * round(frf._rate)) / frf._rate
+    readings = np.tile(np.sin(2.0 * np.pi * 34.3 * time), (len(bench.monitor.channels), 1))
+    frf.add(readings, np.zeros(readings.shape, bool), (0.0, 400.0))
+    curves = frf.curves()
+    assert curves.frequency[np.isfinite(curves.value[0])].tolist() == [34.0]
+
+
 def test_damping_interval_contains_the_true_value():
     rng, rate, ratio, averages = np.random.default_rng(1), 256.0, 0.03, 8
     for _ in range(20):

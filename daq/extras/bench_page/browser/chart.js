@@ -91,6 +91,8 @@ class Chart {
     [context.lineWidth, context.globalAlpha] = [width, opacity];
     context.setLineDash(dash);
     context.beginPath();
+    // The points of a few tones are larger than those among lines.
+    const r = y.filter((value) => isFinite(value)).length < 6 ? 2.5 : 1;
     for (let k = 0; k < y.length; k++) {
       if (isGap(k)) continue;
       const px = this.position(x[k]), py = toPixel(y[k]);
@@ -100,7 +102,7 @@ class Chart {
       }
       if (isGap(k - 1)) context.moveTo(px, py);
       else context.lineTo(px, py);
-      if (dots && isGap(k - 1) && isGap(k + 1)) context.rect(px - 1, py - 1, 2, 2);
+      if (dots && isGap(k - 1) && isGap(k + 1)) context.rect(px - r, py - r, 2 * r, 2 * r);
     }
     context.stroke();
     context.setLineDash([]);

@@ -76,20 +76,20 @@ const response = {
     const { curves, previous, theory } = this, magnitude = [], phase = [], coherence = [];
     $("last").parentNode.hidden = !previous;
     const showsLast = previous && $("last").checked;
-    if (showsLast) for (const row of previous.rows) magnitude.push({ x: previous.frequency, y: micro(row.magnitude), color: LAST, width: 1 });
+    if (showsLast) for (const row of previous.rows) magnitude.push({ x: previous.frequency, y: micro(row.magnitude), color: row.color, width: 1, opacity: 0.45 });
     const isClipped = curves?.rows.some((row) => row.relation.some(Boolean));
-    setText("thin", [curves ? [curves.level == null ? "" : `${digits(curves.level, 3)} N`, `Δf ${digits(curves.frequency[1] - curves.frequency[0], 2)} Hz`, this.details].filter(Boolean).join(", ") : "", isClipped ? "dashed: clipped; arrow: side of the true value" : "", curves ? "thin: uncertain (γ² < 0.7, or phase scatters)" : "", showsLast ? `gray: last test${previous.level == null ? "" : `, ${digits(previous.level, 3)} N`}` : ""].filter(Boolean).join("; "));
+    setText("thin", [curves ? [curves.level == null ? "" : `${digits(curves.level, 3)} N`, `Δf ${digits(curves.frequency[1] - curves.frequency[0], 2)} Hz`, this.details].filter(Boolean).join(", ") : "", isClipped ? "dashed: clipped; arrow: side of the true value" : "", curves ? "thin: uncertain (γ² < 0.7, or phase scatters)" : "", showsLast ? `pale: last test${previous.level == null ? "" : `, ${digits(previous.level, 3)} N`}` : ""].filter(Boolean).join("; "));
     if (theory && $("theory").checked) {
       theory.rows.forEach((row, k) => magnitude.push({ x: theory.frequency, y: micro(row), color: this.channels[k].color, dash: [7, 4], width: 1 }));
     }
     for (const row of curves?.rows ?? []) {
       const style = { x: curves.frequency, color: row.color, dots: true };
-      const certain = row.determined.map((each, k) => each && !row.relation[k]), only = (y, isShown) => y.map((value, k) => (isShown(k) ? value : NaN));
-      magnitude.push({ ...style, y: micro(row.magnitude), width: 0.9, opacity: 0.8 });
+      const certain = row.determined.map((each, k) => each && !row.relation[k]), angular = longRuns(certain.map((each, k) => each && !(row.coherence[k] < COHERENT_PHASE))), only = (y, isShown) => y.map((value, k) => (isShown(k) ? value : NaN));
+      magnitude.push({ ...style, y: micro(row.magnitude), width: 0.9, opacity: 0.8, noisy: true });
       magnitude.push({ ...style, y: only(micro(row.magnitude), (k) => row.relation[k]), width: 1.6, dash: [5, 4] });
       magnitude.push({ ...style, y: only(micro(row.magnitude), (k) => certain[k]), width: 1.8 });
       // The line is interrupted where the phase wraps.
-      phase.push({ ...style, y: only(row.phase, (k) => certain[k] && !(Math.abs(row.phase[k] - row.phase[k - 1]) > 180)), width: 1.6 });
+      phase.push({ ...style, y: only(row.phase, (k) => angular[k] && !(Math.abs(row.phase[k] - row.phase[k - 1]) > 180)), width: 1.6 });
       coherence.push({ ...style, y: row.coherence, width: 0.9, opacity: 0.8 }, { ...style, y: only(row.coherence, (k) => certain[k]) }, { ...style, y: only(row.coherence, (k) => row.relation[k]), dash: [5, 4] });
       // Arrows at the highest clipped point show on which sides of it the true value may be.
       const highest = row.magnitude.reduce((best, value, k) => (row.relation[k] && value > (row.magnitude[best] || 0) ? k : best), -1);
@@ -97,7 +97,7 @@ const response = {
     }
     const fixed = (values) => values.map((value) => [value, true]), range = this.range();
     // Noise does not determine the axis of the magnitude; arrows need space.
-    const [low, high] = limits({ log: true, curves: magnitude.filter((curve) => !curve.opacity) });
+    const [low, high] = limits({ log: true, curves: magnitude.filter((curve) => !curve.noisy) });
     // The axis is logarithmic unless the band is narrow, as in figures and report.
     this.chart.x.log = range[1] >= 2 * range[0] && range[0] > 0;
     this.chart.show(range, [
@@ -115,7 +115,7 @@ const response = {
     if (force.every(isNaN)) return [];
     const required = level == null ? [] : [{ x: [frequency[0], frequency[frequency.length - 1]], y: Float32Array.of(level, level), color: LAST, dash: [5, 4], width: 1 }];
     const largest = roundUp(Math.max(level ?? 0, ...force.filter(isFinite)));
-    return [{ name: level == null ? "force rms / N" : "force / N", range: [0, largest], ticks: [[0, true], [largest / 2, false], [largest, true]], share: 0.7, curves: [...required, { x: frequency, y: force, color: "#ffffff" }] }];
+    return [{ name: level == null ? "rms / N" : "force / N", range: [0, largest], ticks: [[0, true], [largest / 2, false], [largest, true]], share: 0.7, curves: [...required, { x: frequency, y: force, color: "#ffffff" }] }];
   },
 
   nearest(frequency) {
@@ -166,6 +166,16 @@ const COHERENT = 0.7;
 const LARGEST_STEP = 17;
 const AROUND = 40; // lines on either side
 const DECADES = 2.5;
+// Among other lines, the phase is shown in runs of at least RUN lines with this coherence: shorter pieces are noise.
+const COHERENT_PHASE = 0.9, RUN = 12;
+
+// Remove runs of fewer than RUN true values, unless there are no longer runs, as with a few tones.
+function longRuns(values) {
+  const starts = values.map((value, k) => (value ? k : -1)).filter((k) => k >= 0 && !values[k - 1]);
+  const end = (start) => (values.indexOf(false, start) + values.length + 1) % (values.length + 1);
+  const runs = starts.map((start) => [start, end(start)]), long = runs.filter(([start, stop]) => stop - start >= RUN);
+  return long.length ? values.map((_, k) => long.some(([start, stop]) => k >= start && k < stop)) : values;
+}
 
 // Return whether the response at each line is determined: coherent, and with a phase that does not scatter.
 function determined(phase, coherence) {

@@ -93,6 +93,10 @@ def write_reference() -> None:
     for package in ("rig", "daq", "analysis"):
         module = import_module(package)
         lines = [f"# {package}: Python names", "", "```{eval-rst}", f".. currentmodule:: {package}", ""]
+        for name in sorted(module.__all__, key=str.lower):
+            purpose = (getattr(module, name).__doc__ or "").strip().split("\n")[0]
+            lines.append(f"- :obj:`{package}.{name}`: {purpose}")
+        lines.append("")
         for name in module.__all__:
             member = getattr(module, name)
             kind = "class" if isinstance(member, type) else "function"

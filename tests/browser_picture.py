@@ -54,8 +54,8 @@ def draw_bench(picture: str) -> None:
 
 def draw_page(page: str, picture: str) -> None:
     """Draw the first screen of a page."""
-    # The page without its margins.
-    driver = open_browser(1040, 650, 1.5)
+    # Answer and drawing of the rig, legible at the width of a door of the start page.
+    driver = open_browser(760, 475, 1.75)
     try:
         driver.get(Path(page).resolve().as_uri())
         driver.save_screenshot(picture)

@@ -18,6 +18,11 @@ PICTURES = {
     "compliance.png": ("analysis demo -o OUT", "fig8-*-frf-body3.png"),
     "cost.png": ("rig cost fig9 -o OUT", "cost-*.png"),
     "design.png": ("rig design fig9 --budget 100g --levels 1.5N,3N,6N -o OUT", "design-*.png"),
+    "fine.png": (
+        "daq record OUT/bracket.yaml -o OUT/fine.mcap --set test.from=55Hz --set test.to=70Hz --set test.points=69 "
+        "--set test.spacing=linear; analysis frf OUT/fine.mcap",
+        "fine-frf.png",
+    ),
     "map.png": ("rig map fig9 -o OUT", "map-*.png"),
     "report.png": (
         "analysis report recordings/demo-sweep-no-damper.mcap recordings/demo-sweep-three-dampers.mcap "

@@ -44,7 +44,7 @@ fit = analysis.fit(path, guess)
 print(fit)
 axes = plt.subplots(layout="constrained")[1]
 frf = frfs["body3"].band(5.0, 60.0)
-axes.semilogy(frf.frequency, 1e6 * abs(frf.value), label="imported")
+axes.semilogy(frf.frequency, 1e6 * abs(frf.value), lw=4, alpha=0.35, label="imported")
 # The model as the sensor of body 3 would read it.
 (compared,) = fit.compared
 order = np.argsort(compared.curves.frequency)

@@ -469,9 +469,9 @@ def damper_charts(measurement: Measurement) -> list[Chart]:
     band = np.concatenate(frequencies)
     return [
         Chart(
-            f"“{measurement.label}” ({excitation_text(measurement.rec)}): impacts per period on floor and ceiling, and "
-            "percentage of the supplied energy that the dampers dissipate (95 %). Gaps: no regular pattern. 0: none "
-            "above the detection limit.",
+            f"“{measurement.label}” ({excitation_text(measurement.rec)}): impacts per period, and share of energy. "
+            "Impacts on floor and ceiling; gaps: no regular pattern; 0: none above the detection limit. Energy: "
+            "percentage of the supplied energy that the dampers dissipate (95 %).",
             f"Damper impacts per period against frequency, {band.min():.4g} to {band.max():.4g} Hz.",
             panels,
             logarithmic=needs_logarithmic_axis(band),

@@ -31,6 +31,8 @@ _MIN_AMPLITUDES = 3
 _LEVEL_STEP = 0.02
 # Number of amplitudes to which the points of a frequency are interpolated: finer than the contours of a figure.
 _GRID = 1000
+# A larger ratio of forces has a logarithmic axis.
+_MAX_LINEAR_RATIO = 10.0
 
 
 @dataclass(frozen=True, repr=False)
@@ -166,6 +168,11 @@ class ForceSurface(Result):
             bars = complete_style(style, label=label, color=color, marker=marker, ms=3, lw=0.8, capsize=2)
             ax.errorbar(self.frequency[along], self.force[along], self.force_own[along], **bars)
         ax.set(xlabel="frequency / Hz", ylabel="force / N")
+        if self.force.max() > _MAX_LINEAR_RATIO * self.force.min() > 0.0:
+            # Imported at the first figure, because matplotlib takes long.
+            from rig.core.base.figure_style import log_axis
+
+            log_axis(ax, [self.force])
 
 
 @takes_path

@@ -232,7 +232,7 @@
   // Ticks of a logarithmic axis; even steps if fewer than three of them would be labeled within a decade.
   function logarithmicTicks(plot, number, low, high) {
     const ticks = [], labeled = labeledMantissas(plot, number);
-    const drawn = decade(plot, number) < MIN_DECADE ? labeled : [1, 2, 3, 4, 5, 6, 7, 8, 9];
+    const drawn = decade(plot, number) < MIN_DECADE ? labeled : [1, ...(labeled.includes(1.5) ? [1.5] : []), 2, 3, 4, 5, 6, 7, 8, 9];
     let count = 0;
     for (let exponent = Math.floor(Math.log10(low)); 10 ** exponent <= high; exponent++) {
       for (const mantissa of drawn) {

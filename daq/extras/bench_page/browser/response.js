@@ -84,7 +84,7 @@ const response = {
     }
     for (const row of curves?.rows ?? []) {
       const style = { x: curves.frequency, color: row.color, dots: true };
-      const certain = row.determined.map((each, k) => each && !row.relation[k]), angular = longRuns(certain.map((each, k) => each && !(row.coherence[k] < COHERENT_PHASE))), only = (y, isShown) => y.map((value, k) => (isShown(k) ? value : NaN));
+      const certain = row.determined.map((each, k) => each && !row.relation[k]), angular = longRuns(certain, row.coherence), only = (y, isShown) => y.map((value, k) => (isShown(k) ? value : NaN));
       magnitude.push({ ...style, y: micro(row.magnitude), width: 0.9, opacity: 0.8, noisy: true });
       magnitude.push({ ...style, y: only(micro(row.magnitude), (k) => row.relation[k]), width: 1.6, dash: [5, 4] });
       magnitude.push({ ...style, y: only(micro(row.magnitude), (k) => certain[k]), width: 1.8 });
@@ -166,14 +166,15 @@ const COHERENT = 0.7;
 const LARGEST_STEP = 17;
 const AROUND = 40; // lines on either side
 const DECADES = 2.5;
-// Among other lines, the phase is shown in runs of at least RUN lines with this coherence: shorter pieces are noise.
+// Among other lines, the phase is shown in runs of at least RUN lines with this mean coherence: other runs are noise.
 const COHERENT_PHASE = 0.9, RUN = 12;
 
-// Remove runs of fewer than RUN true values, unless there are no longer runs, as with a few tones.
-function longRuns(values) {
+// Remove runs of fewer than RUN lines or with a low coherence, unless there are no other runs, as with a few tones.
+function longRuns(values, coherence) {
+  const isCoherent = ([start, stop]) => !(coherence.slice(start, stop).reduce((sum, value) => sum + value, 0) < COHERENT_PHASE * (stop - start));
   const starts = values.map((value, k) => (value ? k : -1)).filter((k) => k >= 0 && !values[k - 1]);
   const end = (start) => (values.indexOf(false, start) + values.length + 1) % (values.length + 1);
-  const runs = starts.map((start) => [start, end(start)]), long = runs.filter(([start, stop]) => stop - start >= RUN);
+  const runs = starts.map((start) => [start, end(start)]), long = runs.filter((run) => run[1] - run[0] >= RUN && isCoherent(run));
   return long.length ? values.map((_, k) => long.some(([start, stop]) => k >= start && k < stop)) : values;
 }
 

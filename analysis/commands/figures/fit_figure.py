@@ -89,7 +89,7 @@ def _model(scene: Scene, compared: Comparison) -> tuple[Array, Array]:
         return frequency, magnitude
     test_scene, bodies = scene_of_test(scene, curves), list(curves.bodies)
     dense = np.unique(np.append(np.geomspace(frequency[0], frequency[-1], _MODEL_POINTS), frequency))
-    model = np.asarray(abs(linear_response(test_scene, curves, dense)[0][bodies]), dtype=float)
+    model = abs(linear_response(test_scene, curves, dense)[0][bodies])
     # The readings contain the fitted deviations of the sensitivities.
-    gains: Array = np.median(magnitude / model[:, np.isin(dense, frequency)], axis=1, keepdims=True)
-    return dense, model * gains
+    gains = np.median(magnitude / model[:, np.isin(dense, frequency)], axis=1, keepdims=True)
+    return dense, np.asarray(model * gains, dtype=float)

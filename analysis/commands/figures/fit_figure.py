@@ -84,7 +84,7 @@ def _model(scene: Scene, compared: Comparison) -> tuple[Array, Array]:
     """
     curves = compared.curves
     order = np.argsort(curves.frequency, kind="stable")
-    frequency, magnitude = curves.frequency[order], abs(compared.predicted[:, order])
+    frequency, magnitude = curves.frequency[order], np.asarray(abs(compared.predicted[:, order]), dtype=float)
     if not curves.is_linear:
         return frequency, magnitude
     test_scene, bodies = scene_of_test(scene, curves), list(curves.bodies)

@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from analysis.commands.figures.determined_lines import determined_band, is_determined
-from analysis.commands.figures.frf_figure import MAX_MARKED, intervals_text, unstated_tolerances
+from analysis.commands.figures.determined_lines import MAX_MARKED, determined_band, is_determined
+from analysis.commands.figures.frf_figure import intervals_text, unstated_tolerances
 from analysis.core.modal.mode_warnings import extrapolates_damping
 from analysis.core.modal.modes import Modes
 from rig.core.base.arrays import Array

@@ -85,7 +85,7 @@ def test_comparison_is_in_ratios(sweep: Path, tmp_path: Path) -> None:
     damped = SCENE["structure"] | {"damping": {"modal": 0.03}}
     other = record(tmp_path / "damped.mcap", "swept_sine", structure=damped)
     comparison = analysis.compare([sweep, other])
-    assert "before m/m" in "\n".join(comparison.lines)
+    assert "before / (m/m)" in "\n".join(comparison.lines)
     assert comparison.changes[0][2].decibel[0] == pytest.approx(20.0 * np.log10(2.0 / 3.0), abs=0.1)
 
 

@@ -49,7 +49,7 @@ def test_keys_of_bundled_scenes_are_explained() -> None:
         ("integrator.corner", "default: 0.0"),
         ("accelerometer.q", "default: 30"),
         ("shaker.electrodynamic.amplifier", "mode "),
-        ("test.impulse.peak", "Peak of the pulse"),
+        ("test.impulse.peak", "Peak force of the pulse"),
     ],
 )
 def test_key_is_explained_by_full_name_or_end(key, expected_text) -> None:

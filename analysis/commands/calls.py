@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from rig.core.base.figure_types import Axes
 from rig.core.base.progress import CountProgress
 from rig.core.results.result import Result, join_columns
+from rig.core.results.table import Table, join_tables
 
 if TYPE_CHECKING:
     from analysis.commands.presentation.comparison import Comparison
@@ -58,6 +59,10 @@ class Results(Result, Sequence[R], Generic[R]):
             label = np.full(count, str(getattr(result, "label", "")))
             tables.append({name: columns[name] for name in names} | {"label": label})
         return join_columns(tables)
+
+    def table(self) -> Table:
+        """Join the tables of all results; the label of each result is a subheading."""
+        return join_tables((str(getattr(result, "label", "")), result.table()) for result in self._results)
 
     def summary(self) -> str:
         """Return the summaries of all results, one per line."""

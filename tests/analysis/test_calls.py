@@ -35,6 +35,7 @@ def test_frf_table_contains_all_recordings(axes):
     assert np.unique(columns["label"]).size == 2
     result.plot(axes)
     assert len(axes.get_legend().get_texts()) == 2 and result[1].label in result._repr_html_()
+    assert [row[0] for row in result.table().rows] == [result[0].label, "body3", result[1].label, "body3"]
 
 
 def test_modes_of_two_recordings_are_compared_by_mac():

@@ -32,7 +32,6 @@ from daq.core.recording.recording import Recording
 from rig.core.base.output_files import prepare_outputs
 from rig.core.base.progress import CountProgress
 from rig.core.results.response import Response
-from rig.core.results.table import Table
 from rig.core.results.uncertainty import expand
 
 #: Two mode shapes with at least this modal assurance criterion (MAC) are usually considered the same.
@@ -149,9 +148,7 @@ def describe_modes(modes: Modes, theory: TheoreticalModes | None = None) -> list
     mac_texts = [] if theory is None else [f"{mac_value:.4f}" for mac_value in nearest_mac(modes, theory)]
     reference = f", {modes.input}" if modes.input else ""
     heading = f"{modes.label}{reference}: {count} mode{'s' * (count != 1)}{modes.uncertain_count_text()}"
-    rows = [(*each.cells(), each.reason) for each in modes.uncertain]
-    uncertain = Table(("uncertain mode / Hz", "damping ratio / %", "reason"), ">><", rows)
-    return [heading, *modes.table(mac_texts).lines("  "), *uncertain.lines("  ")]
+    return [heading, *modes.table(mac_texts).lines("  ")]
 
 
 def _has_near_frequency(modes: Modes, theory: TheoreticalModes) -> bool:

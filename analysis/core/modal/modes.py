@@ -166,15 +166,20 @@ class Modes(Result):
         return _cells(self.frequency[mode], self.frequency_std[mode], self.damping_text(mode))
 
     def table(self, mac_texts: Sequence[str] = ()) -> Table:
-        """Return frequency, damping ratio and shape of each mode; `mac_texts`: similarity with shapes of the scene."""
+        """Return frequency, damping ratio and shape of each mode, then the uncertain modes with their reasons.
+
+        `mac_texts`: similarity with shapes of the scene.
+        """
         bodies = self.of_bodies()
         shapes = zip(bodies.shapes.T.real, expand(bodies.errors).T, strict=True)
         rows = [
-            (*self.cells(k), mac_text, *map(format_interval, *shape))
+            (*self.cells(k), mac_text, *map(format_interval, *shape), "")
             for k, (mac_text, shape) in enumerate(zip(mac_texts or [""] * self.frequency.size, shapes, strict=True))
         ]
-        heading = ("frequency / Hz", "damping ratio / %", "MAC with scene", *(f"at {name}" for name in bodies.names))
-        return Table(heading, ">" * len(heading), rows)
+        rows += [(*each.cells(), "", *[""] * len(bodies.names), each.reason) for each in self.uncertain]
+        places = (f"at {name}" for name in bodies.names)
+        heading = ("frequency / Hz", "damping ratio / %", "MAC with scene", *places, "uncertain because")
+        return Table(heading, ">" * (len(heading) - 1) + "<", rows)
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """Return frequency, damping ratio, and the shape at each response, with standard uncertainties."""

@@ -34,7 +34,7 @@ def typeset(text: str) -> str:
 class Table:
     """A table of texts; columns that are empty below the heading are omitted.
 
-    `alignment`: ``<`` or ``>`` for each column. In HTML, a row with one cell is a subheading.
+    `alignment`: ``<`` or ``>`` for each column. A row with one cell is a subheading.
     """
 
     heading: Sequence[str]
@@ -43,7 +43,11 @@ class Table:
 
     def lines(self, indent: str = "") -> list[str]:
         """Return the lines of the table with their heading; no line without rows."""
-        return [indent + line for line in table_lines([self.heading, *self.rows], self.alignment)]
+        lines = table_lines([self.heading, *(row for row in self.rows if len(row) > 1)], self.alignment)
+        for k, row in enumerate(self.rows, 1):
+            if len(row) == 1:
+                lines.insert(k, row[0])
+        return [indent + line for line in lines]
 
     def html(self, caption: str = "") -> str:
         """Return the table as HTML, an empty text without rows."""
@@ -69,7 +73,20 @@ class Table:
 
 
 def join_tables(tables: Iterable[tuple[str, Table]]) -> Table:
-    """Join tables with equal columns; their titles become subheadings."""
-    pairs = list(tables)
-    rows = [row for title, table in pairs for row in [*([(title,)] if title and table.rows else []), *table.rows]]
-    return Table(pairs[0][1].heading, pairs[0][1].alignment, rows) if pairs else Table((), "", ())
+    """Join tables; their titles become subheadings, and cells in columns that a table lacks are empty."""
+    columns: dict[tuple[str, int], str] = {}
+    rows = list[Sequence[str]]()
+    pairs = [(title, table, _numbered(table.heading)) for title, table in tables]
+    for _, table, keys in pairs:
+        columns |= dict(zip(keys, table.alignment, strict=True))
+    for title, table, keys in pairs:
+        rows += [(title,)] * bool(title and table.rows)
+        for row in table.rows:
+            cells = dict(zip(keys, row, strict=False))
+            rows.append([cells.get(key, "") for key in columns] if len(row) > 1 else row)
+    return Table([name for name, _ in columns], "".join(columns.values()), rows)
+
+
+def _numbered(heading: Sequence[str]) -> list[tuple[str, int]]:
+    """Return each name with its number of earlier occurrences: columns of a table may have the same name."""
+    return [(name, list(heading[:k]).count(name)) for k, name in enumerate(heading)]

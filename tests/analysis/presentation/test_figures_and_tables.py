@@ -391,6 +391,7 @@ def test_uncertain_modes_are_in_text_table_and_diagram(folder, tmp_path):
     [*_, mark] = modes.plot_stabilization(Figure().subplots()).lines
 
     assert "uncertain: (40.00 ± 0.20) Hz" in modes.summary() and heading.endswith(", 1 uncertain")
+    assert modes.table().rows[-1][-1] == uncertain.reason
     assert line.split(maxsplit=6) == ["40.00", "±", "0.20", "1.00", "±", "0.20", uncertain.reason]
     assert (row["mode"], row["frequency_Hz"], row["uncertain_because"]) == ("", "40", uncertain.reason)
     assert mark.get_label() == "uncertain mode" and mark.get_xdata()[0] == 40.0

@@ -11,6 +11,7 @@ import analysis
 import daq
 import rig
 from rig.core.base.errors import RunError, SceneError
+from rig.core.results.table import Table, join_tables
 from tests.rig.this_process import pieces_in_this_process
 
 SWEEP, HIT = "recordings/demo-sweep-no-damper.mcap", "recordings/demo-impulse-no-damper.mcap"
@@ -114,3 +115,14 @@ def test_quantities_and_numbers_give_the_same_result(results) -> None:
     np.testing.assert_array_equal(
         run.displacement, next(result for result in results if isinstance(result, rig.Run)).displacement
     )
+
+
+def test_joined_tables_are_printed_below_their_titles() -> None:
+    first, second = (
+        Table(("mode", "at a", "note"), "<><", [("1", "9", "")]),
+        Table(("mode", "at b"), "<>", [("1", "-8")]),
+    )
+    assert join_tables([("A", first), ("B", second), ("C", first)]).lines("  ") == [
+        "  mode  at a  at b", "  A", "  1        9", "  B", "  1             -8", "  C", "  1        9",
+    ]  # fmt: skip
+    assert join_tables([("A", Table(("mode",), "<", []))]).lines() == []

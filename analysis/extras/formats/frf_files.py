@@ -315,8 +315,9 @@ def _from_table(path: Path, unit: str | None) -> list[Response]:
     if first.unit == "kHz":
         frequency = 1e3 * frequency
     elif first.unit.lower() != "hz" and (first.unit or not re.match(r"f|hz", first.name, re.IGNORECASE)):
+        column = f"is {first.name!r}" if first.rate is None else "contains times"
         raise RecordingError(
-            f"{path}: the first column is {first.name!r}; expected frequencies in Hz, such as 'f [Hz]'. {_IMPORT}"
+            f"{path}: the first column {column}; expected frequencies in Hz, such as 'f [Hz]'. {_IMPORT}"
         )
     for k in range(1, len(columns)):
         (name, column_unit, magnitude), (_, phase_unit, phase) = columns[k - 1 : k + 1]

@@ -160,14 +160,14 @@ class OrbitResponse(Result):
         return as_response(self.value, self.labels, self.frf, self.reference, unsteady=self.simulated, label="orbits")
 
     def summary(self) -> str:
-        """Return the range of the parameter, the peaks and the types of motion in words."""
+        """Return the range of the parameter, the highest computed value and the types of motion in words."""
         body, k = np.unravel_index(int(np.argmax(abs(self.frf))), self.frf.shape)
         unit = self.axis.unit
         frf_unit, factor = frf_display(self.reference)[1:]
         return (
             f"{self.value.size} steady-state motions, "
             f"{self.parameter} {self.value.min():.4g} to {self.value.max():.4g} {unit}, "
-            f"highest {factor * abs(self.frf[body, k]):.4g} {frf_unit} at {self.value[k]:.4g} {unit} "
+            f"highest computed value {factor * abs(self.frf[body, k]):.4g} {frf_unit} at {self.value[k]:.4g} {unit} "
             f"({self.labels[body]}), motion {describe_motion(self.damper_motion, self.joints)}"
         )
 

@@ -116,13 +116,13 @@ class SteadyResponse(Result):
         )
 
     def summary(self) -> str:
-        """Summarize frequency range, peak and types of motion."""
+        """Summarize frequency range, highest computed value and types of motion."""
         body, k = np.unravel_index(int(np.argmax(abs(self.frf))), self.frf.shape)
         unit, factor = frf_display(self.reference)[1:]
         return (
-            f"{self.frequency.size} frequencies, {self.frequency.min():.4g} to {self.frequency.max():.4g} Hz, highest "
-            f"{factor * abs(self.frf[body, k]):.4g} {unit} at {self.frequency[k]:.4g} Hz ({self.labels[body]}), "
-            f"motion {describe_motion(self.damper_motion, self.joints)}"
+            f"{self.frequency.size} frequencies, {self.frequency.min():.4g} to {self.frequency.max():.4g} Hz, "
+            f"highest computed value {factor * abs(self.frf[body, k]):.4g} {unit} at {self.frequency[k]:.4g} Hz "
+            f"({self.labels[body]}), motion {describe_motion(self.damper_motion, self.joints)}"
         )
 
     def columns(self) -> dict[str, NDArray[Any]]:

@@ -261,9 +261,13 @@ def test_missing_systematic_errors_are_reported(tmp_path):
         assert "The file states no systematic errors" in text
 
 
-def test_table_of_time_histories_should_be_imported(tmp_path) -> None:
-    (tmp_path / "a.csv").write_text("time,force,acc\n0,1,2\n0.1,2,3\n0.2,3,4\n", encoding="utf-8")
-    with pytest.raises(RecordingError, match=r"time histories.*daq import"):
+@pytest.mark.parametrize(
+    ("heading", "problem"),
+    [("time,force,acc", "column 'acc'"), ("time [s],f [N],a [g]", "first column contains times")],
+)
+def test_table_of_time_histories_should_be_imported(heading, problem, tmp_path) -> None:
+    (tmp_path / "a.csv").write_text(f"{heading}\n0,1,2\n0.1,2,3\n0.2,3,4\n", encoding="utf-8")
+    with pytest.raises(RecordingError, match=f"{problem}.*time histories.*daq import"):
         analysis.read_frfs(tmp_path / "a.csv")
 
 

@@ -47,6 +47,11 @@ def test_every_peak_has_a_row(response: SteadyResponse) -> None:
     assert "fewer than 3 frequencies in the half-power width" in text
 
 
+def test_headline_gives_the_highest_computed_value(response: SteadyResponse) -> None:
+    # The table gives the peak between the frequencies, which may be higher.
+    assert "highest computed value 9 µm/N at 12 Hz (base)" in format_response(response).splitlines()[0]
+
+
 def test_linear_peak_between_frequencies_is_computed(response: SteadyResponse) -> None:
     frequency, natural, ratio = np.arange(20.0, 40.0, 0.84), 30.49, 0.005
     row = 1.0 / (1.0 - (frequency / natural) ** 2 + 2j * ratio * frequency / natural)

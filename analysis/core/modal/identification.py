@@ -22,7 +22,7 @@ from analysis.core.modal.modes import Modes
 from analysis.core.modal.pole_errors import pole_errors, refined_pole_errors, systematic_pole_errors
 from analysis.core.modal.refinement import Refinement, refine
 from analysis.core.modal.several_references import separate
-from analysis.core.modal.window_fits import IdentifiedPoles, identify_windows, no_poles, stable_without_peak
+from analysis.core.modal.window_fits import IdentifiedPoles, identify_windows, no_poles
 from analysis.core.modal_models.order_selection import are_in_band
 from analysis.core.modal_models.pole_residue import UPPER_TERMS, Curves, ModalModel, modal_receptance, residual_terms
 from analysis.core.responses.errors.systematic import IRREGULAR
@@ -99,9 +99,8 @@ def identify(frfs: Response | Sequence[Response], count: int | None = None) -> M
         measured, sigma = measured_curves(curves)
         charts = stabilization_diagrams(measured, sigma)
         chart, used = charts[0], {curve.response for curve in curves}
-        fitted_poles = identify_windows([curve for curve in all_lines if curve.response in used], measured.value, count)
-        known = np.append(abs(fitted_poles.poles) / (2 * np.pi), [each.frequency for each in fitted_poles.uncertain])
-        fitted_poles.uncertain.extend(stable_without_peak(measured.frequency, charts, known))
+        used_lines = [curve for curve in all_lines if curve.response in used]
+        fitted_poles = identify_windows(used_lines, measured, charts, count)
     if not fitted_poles.poles.size:
         reason = " ".join(rejections(fitted_poles)) or (
             "no resonance is higher than the noise and wider than the frequency resolution."

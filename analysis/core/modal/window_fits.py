@@ -23,6 +23,7 @@ from analysis.core.modal.peak_windows import Window, peak_windows
 from analysis.core.modal.pole_errors import pole_errors, systematic_pole_errors
 from analysis.core.modal_models.lscf import ChartPole, merge_charts
 from analysis.core.modal_models.order_selection import are_in_band, are_narrower_than_resolution, half_width
+from analysis.core.modal_models.pole_residue import Curves
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import RecordingError
 from rig.core.results.response import Response
@@ -78,8 +79,13 @@ class _WindowFit(NamedTuple):
         return self.fitted.model.poles[self.accepted]
 
 
-def identify_windows(curves: Sequence[Response], value: ComplexArray, count: int | None) -> IdentifiedPoles:
-    """Identify the modes of curves at equal frequencies, in ascending order; at most `count`: the highest peaks."""
+def identify_windows(
+    curves: Sequence[Response], measured: Curves, charts: Sequence[list[ChartPole]], count: int | None
+) -> IdentifiedPoles:
+    """Identify the modes of curves at equal frequencies, in ascending order; at most `count`: the highest peaks.
+
+    `measured`: lines of the stabilization diagrams `charts`.
+    """
     fits = list(_window_fits(curves))
     candidates = _all_poles(fits)
 
@@ -87,10 +93,13 @@ def identify_windows(curves: Sequence[Response], value: ComplexArray, count: int
         return _all_poles(_window_fits([curve.at(lines) for curve in curves], candidates))
 
     halves = list(half_parts(curves[0].frequency, poles_of))
-    parts = [no_poles(value), *(_confirm(fit, halves) for fit in fits)]
+    parts = [no_poles(measured.value), *(_confirm(fit, halves) for fit in fits)]
     poles, residue, frequency_std, damping_std = (
         np.concatenate(column, axis=-1) for column in list(zip(*parts, strict=True))[:4]
     )
+    rejected = [each for part in parts for each in part.rejected]
+    uncertain = [each for part in parts for each in part.uncertain]
+    known = np.concatenate([abs(poles) / (2 * np.pi), rejected, [each.frequency for each in uncertain]])
     # Heights of peaks are compared as accelerations, because displacements would favor low frequencies. A peak without
     # width, such as mains hum, counts only with its height at the resolution of the lines.
     resolution = max(curve.resolution for curve in curves)
@@ -103,9 +112,9 @@ def identify_windows(curves: Sequence[Response], value: ComplexArray, count: int
         frequency_std[chosen],
         damping_std[chosen],
         max(part.model_error for part in parts),
-        [each for part in parts for each in part.rejected],
-        [each for part in parts for each in part.uncertain],
-        value,
+        rejected,
+        uncertain + stable_without_peak(measured.frequency, charts, known),
+        measured.value,
     )
 
 
@@ -194,14 +203,16 @@ def stable_without_peak(frequency: Array, charts: Sequence[list[ChartPole]], kno
 
     `frequency`: of the lines [Hz]. The standard uncertainties are the scatter between the orders.
     """
-    stable = np.array([each.pole for chart in charts for each in chart if each.stable], dtype=complex)
+    stable = [(k, each) for k, chart in enumerate(charts) for each in chart if each.stable]
+    poles = np.array([each.pole for _, each in stable], dtype=complex)
     min_count = _MIN_STABLE_SHARE * sum(len({each.order for each in chart}) for chart in charts)
     found: list[UncertainMode] = []
     for pole in merge_charts(frequency, charts)[0]:
-        same = stable[abs(stable - pole) < -0.5 * pole.real]
+        rows = np.flatnonzero(abs(poles - pole) < -0.5 * pole.real).tolist()
+        same, n_models = poles[rows], len({(stable[row][0], stable[row][1].order) for row in rows})
         natural, damping = abs(same) / (2 * np.pi), -same.real / abs(same)
         distances = abs(np.append(known, [each.frequency for each in found]) - np.median(natural))
-        if same.size >= min_count and (distances > float(half_width(pole))).all():
+        if n_models >= min_count and (distances > float(half_width(pole))).all():
             values = [float(of(each)) for each in (natural, damping) for of in (np.median, np.std)]
             found.append(UncertainMode(values[0], values[1], values[2], values[3], _NO_PEAK))
     return found

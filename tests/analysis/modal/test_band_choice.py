@@ -176,6 +176,17 @@ def test_stable_pole_without_peak_is_uncertain(n_orders: int, known: list[float]
         assert each.reason == "no distinct peak"
 
 
+def test_orders_of_stable_pole_are_counted_once() -> None:
+    chart = [ChartPole(order, 120.0 + k, 0.03, order >= 16) for order in range(2, 24) for k in (0.0, 0.1)]
+    assert not window_fits.stable_without_peak(FREQUENCY, [chart], np.array([]))
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_modes_beyond_count_are_not_uncertain(count: int) -> None:
+    modes = analysis.identify([_peaks(70.2, 90.3, 140.2, half_power_width=2.0)], count)
+    assert modes.frequency.size == count and not modes.uncertain
+
+
 def test_fewer_residuals_than_parameters_are_fitted() -> None:
     frequency = np.array([10.0, 12.0, 14.0, 16.0, 18.0, 20.0])
     value = 1.0 / (frequency - 15.0 + 0.5j)[None]

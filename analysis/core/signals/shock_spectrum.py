@@ -187,6 +187,10 @@ def srs(
     def read(start: int, stop: int) -> Array:
         samples = rec.read(info.name, segment.start + start, segment.start + stop) - offset
         is_valid = np.isfinite(samples)
+        if (start > 0 and not is_valid[0]) or (stop < count and not is_valid[-1]):
+            # The interpolation needs the valid samples on either side of a gap: three times the samples are read.
+            first, last = max(2 * start - stop, 0), min(2 * stop - start, count)
+            return read(first, last)[start - first : stop - first]
         return samples if is_valid.all() else interpolated(samples, is_valid)
 
     responds_to_constant = abs(info.response(0.0)) > 0.5 * abs(info.response(first))
@@ -273,12 +277,15 @@ def _median(segment: Slice) -> float:
         return (samples[np.isfinite(samples)] for _, samples in segment.pieces(segment.channels))
 
     sizes, lowest, highest = zip(*((each.size, each.min(), each.max()) for each in values() if each.size), strict=True)
-    rank, low, high = 0.5 * sum(sizes), min(lowest), max(highest)
+    # The differences from the smallest value resolve a range that is small compared with the values.
+    rank, low, high = 0.5 * sum(sizes), 0.0, max(highest) - min(lowest)
     for _ in range(_BISECTIONS):
+        if high - low < _BINS * np.finfo(float).tiny:
+            break
         counts = np.zeros(_BINS, dtype=np.int64)
         for each in values():
-            counts += np.histogram(each, _BINS, (low, high))[0]
+            counts += np.histogram(each - min(lowest), _BINS, (low, high))[0]
         index = int(np.searchsorted(np.cumsum(counts), rank))
         rank -= counts[:index].sum()
         low, high = np.linspace(low, high, _BINS + 1)[index : index + 2]
-    return float(low)
+    return float(min(lowest) + low)

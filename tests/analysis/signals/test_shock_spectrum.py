@@ -1,5 +1,6 @@
 """Shock response spectra of recordings: channels with different sensors, options, and their messages."""
 
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -89,6 +90,34 @@ def test_median_is_that_of_all_samples(hits: Path) -> None:
     with daq.open(hits) as rec:
         samples = rec.read("real")
         assert _median(Slice.of(rec, ["real"])) == pytest.approx(np.median(samples), abs=1e-6 * np.ptp(samples))
+
+
+@pytest.mark.parametrize("step", [0.0, 1e-310, 2e-15, 1e-6, 1.0])
+@pytest.mark.parametrize("value", [0.0, 9.80665, 8e6])
+def test_median_of_nearly_equal_samples(value: float, step: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    samples = np.repeat([value, value + step], [40, 60])
+    monkeypatch.setattr(Slice, "pieces", lambda *_: [(0, samples[None])])
+    with daq.open(HIT) as rec:
+        assert _median(Slice.of(rec)) == pytest.approx(value + step, rel=1e-15, abs=max(1e-4 * step, 1e-302))
+
+
+def test_interpolated_gap_is_independent_of_parts(hits: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def pieces_of(length: int) -> Callable[..., Iterator[Array]]:
+        def pieces(_: ChannelInfo, read: Callable[[int, int], Array], count: int, *__: object) -> Iterator[Array]:
+            return (read(first, min(first + length, count)) for first in range(0, count, length))
+
+        return pieces
+
+    with daq.open(hits) as rec:
+        samples, spectra = rec.read("ideal"), []
+        largest = int(np.argmax(samples))
+        samples[largest - 20 : largest + 30] = np.nan
+        monkeypatch.setattr(rec, "read", lambda _, start, stop: samples[start:stop])
+        for length in (9, samples.size):
+            monkeypatch.setattr("analysis.core.signals.shock_spectrum.corrected_pieces", pieces_of(length))
+            spectra.append(analysis.srs(rec, "ideal"))
+    assert spectra[0].maximax == pytest.approx(spectra[1].maximax, rel=1e-9)
+    assert "50 lost samples were interpolated" in spectra[0].warnings[0]
 
 
 def test_segment_without_hit_has_small_spectrum(hits: Path) -> None:

@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.extras.importing.clock import (
-    CLOCK_BYTES,
     Clock,
     clock_of_times,
     looks_like_times,
@@ -43,6 +42,8 @@ _MIN_SAMPLES = 16
 _MAX_CHANNELS = 4096
 # Maximum number of structures that are read from an array, to limit the time for malformed files.
 _MAX_STRUCTURES = 1000
+# Memory for estimating the clock, bytes per time: the times as floats, and the times in s.
+_CLOCK_BYTES = 16
 
 
 def array_signals(path: Path, _stack: ExitStack) -> list[Signal]:
@@ -122,7 +123,9 @@ def _signals(path: Path, content: Mapping[str, Any]) -> list[Signal]:
         if array.ndim == 1 and not is_time_index and not _TIME_NAMES.fullmatch(name):
             sample_arrays[name] = array
             continue
-        require_memory_with_program(in_memory + CLOCK_BYTES * max(array.shape), f"{path}: importing it")
+        require_memory_with_program(in_memory + _CLOCK_BYTES * max(array.shape), f"{path}: importing it")
+        if is_time_index and not _stated_unit(arrays, name):
+            warn_used_as_times(where, array[1] - array[0])
         if array.ndim == 1:
             times_in = f"{path}: the times in {name!r}"
             scale = 1.0

@@ -7,7 +7,7 @@ agrees with these rounded values.
 import math
 import re
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from fractions import Fraction
 from typing import NamedTuple
 
@@ -50,8 +50,8 @@ _ROUNDNESS = 1e-4
 # Maximum number of gaps in the times of a clock; a file with more gaps has no clock.
 _MAX_GAPS = 10_000
 
-#: Memory for estimating the clock, bytes per time: the times, the times of an even grid, and the differences.
-CLOCK_BYTES = 48
+# Number of times in a block, to limit the memory.
+_BLOCK_TIMES = 1 << 18
 #: Row before which rows are missing, and their number.
 MissingRows = tuple[int, int]
 
@@ -120,6 +120,16 @@ def _shortest_number(low: float, high: float) -> tuple[float, int]:
     return (low + high) / 2, 17
 
 
+def blocks(size: int) -> Iterator[slice]:
+    """Yield the blocks of `size` times, which need not fit into memory together."""
+    return (slice(start, min(start + _BLOCK_TIMES, size)) for start in range(0, size, _BLOCK_TIMES))
+
+
+def _numbered_blocks(times: Array) -> Iterator[tuple[NDArray[np.int64], Array]]:
+    """Yield the blocks of times [s], each with the row of each time."""
+    return ((np.arange(block.start, block.stop), times[block]) for block in blocks(times.size))
+
+
 def clock_of_times(times: Array, resolution: float, where: str) -> Clock:
     """Estimate the clock from times [s], rounded to `resolution` [s]; warn about missing rows and jitter.
 
@@ -131,30 +141,37 @@ def clock_of_times(times: Array, resolution: float, where: str) -> Clock:
             f"{where}: the number of time stamps is {times.size}; expected at least 2. Export more samples."
         )
     first, last = float(times[0]), float(times[-1])
+    interval = (last - first) / (times.size - 1)
     # Deviations from evenly spaced times show the rounding.
-    deviation = 0.0 if missing else float(abs(times - np.linspace(first, last, times.size)).max())
-    tolerated = (last - first) * _MAX_UNREPORTED_JITTER / (times.size - 1) + resolution
-    if last > first and deviation > tolerated:
+    deviations = (abs(seconds - (rows * interval + first)).max() for rows, seconds in _numbered_blocks(times))
+    deviation = 0.0 if missing else float(np.max(list(deviations)))
+    if last > first and deviation > interval * _MAX_UNREPORTED_JITTER + resolution:
         # Evenly spaced times by least squares.
-        centered_number = np.arange(times.size) - (times.size - 1) / 2.0
-        sum_of_squares = float(centered_number @ centered_number)
-        interval, mean_time = float(centered_number @ times) / sum_of_squares, float(times.mean())
-        residual = times - mean_time - interval * centered_number
+        middle, sum_of_squares, product, total = (times.size - 1) / 2.0, 0.0, 0.0, 0.0
+        for rows, seconds in _numbered_blocks(times):
+            sum_of_squares += float((rows - middle) @ (rows - middle))
+            product += float((rows - middle) @ seconds)
+            total += float(seconds.sum())
+        interval, mean_time = product / sum_of_squares, total / times.size
+        squares, deviation = 0.0, 0.0
+        for rows, seconds in _numbered_blocks(times):
+            residual = seconds - mean_time - interval * (rows - middle)
+            squares, deviation = squares + float(residual @ residual), max(deviation, float(abs(residual).max()))
         # Four standard uncertainties of the slope.
-        error = 4.0 * float(np.std(residual)) / math.sqrt(sum_of_squares)
+        error = 4.0 * math.sqrt(squares / times.size / sum_of_squares)
         try:
             rate = rate_of_interval(interval, error)
         except RecordingError as uneven:
             raise RecordingError(f"{where}: {uneven}") from None
-        first, deviation = mean_time + float(centered_number[0]) / rate, float(abs(residual).max())
-        _require_even(times, sample_numbers(np.arange(times.size), missing), first, rate, resolution, where)
+        first = mean_time - middle / rate
+        _require_even(times, missing, first, rate, resolution, where)
         warn(
             f"{where} deviate from even spacing by up to {format_percent(deviation * rate)} of the sample interval. "
             "The samples are imported as evenly spaced, because usually only the written times have jitter."
         )
         return Clock(rate, first)
     rate = _rate_with_gaps(first, last, times.size, missing, max(resolution, 2.0 * deviation), where)
-    _require_even(times, sample_numbers(np.arange(times.size), missing), first, rate, resolution, where)
+    _require_even(times, missing, first, rate, resolution, where)
     return Clock(rate, first, missing)
 
 
@@ -167,23 +184,31 @@ def missing_rows(times: Array, resolution: float) -> list[MissingRows]:
     >>> missing_rows(np.array([0.0, 0.1, 0.2, 0.5, 0.6]), 0.0)
     [(3, 2)]
     """
-    intervals = np.diff(times)
-    interval = float(np.median(intervals)) if intervals.size else 0.0
-    is_gap = intervals > _MAX_REGULAR_INTERVALS * interval
-    gaps, regular = intervals[is_gap], intervals[~is_gap]
-    if not (interval > 0.0 and resolution <= _INTERVAL_TOLERANCE * interval and 0 < gaps.size <= _MAX_GAPS):
+    gaps, rows, regular_time, regular_count = np.empty(0), np.empty(0, np.int64), 0.0, 0
+    interval = float(np.median(np.diff(times[: _BLOCK_TIMES + 1]))) if times.size > 1 else 0.0
+    if not (interval > 0.0 and resolution <= _INTERVAL_TOLERANCE * interval):
         return []
-    if not (abs(regular - interval) <= _INTERVAL_TOLERANCE * interval + 2.0 * resolution).all():
+    for block in blocks(times.size - 1):
+        intervals = np.diff(times[block.start : block.stop + 1])
+        is_gap = intervals > _MAX_REGULAR_INTERVALS * interval
+        regular = intervals[~is_gap]
+        if not (abs(regular - interval) <= _INTERVAL_TOLERANCE * interval + 2.0 * resolution).all():
+            return []
+        gaps = np.append(gaps, intervals[is_gap])
+        rows = np.append(rows, block.start + 1 + np.flatnonzero(is_gap))
+        regular_time, regular_count = regular_time + float(regular.sum()), regular_count + regular.size
+        if gaps.size > _MAX_GAPS:
+            return []
+    if not gaps.size:
         return []
     try:
-        rate = rate_of_interval(float(regular.mean()), 2.0 * resolution * (gaps.size + 1) / regular.size)
+        rate = rate_of_interval(regular_time / regular_count, 2.0 * resolution * (gaps.size + 1) / regular_count)
     except RecordingError:
         return []
     counts = np.round(gaps * rate) - 1
     largest_error = abs(gaps * rate - counts - 1).max()
     if largest_error > _INTERVAL_TOLERANCE + 2.0 * resolution * rate or counts.sum() > times.size:
         return []
-    rows = np.flatnonzero(is_gap) + 1
     return list(zip(rows.tolist(), counts.astype(int).tolist(), strict=True))
 
 
@@ -221,7 +246,7 @@ def _rate_with_gaps(
 
 
 def _require_even(
-    times: Array, numbers: NDArray[np.int64], start: float, rate: float, resolution: float, where: str
+    times: Array, missing: Sequence[MissingRows], start: float, rate: float, resolution: float, where: str
 ) -> None:
     """Raise `RecordingError` if a time [s] differs from the time of its sample index by more than half an interval.
 
@@ -237,15 +262,17 @@ def _require_even(
             f"{where}: {start:.9g} is probably a date in days, as in spreadsheets and MATLAB. Save the times in s, or "
             "start at 0."
         )
-    deviation = abs(times - start - numbers / rate)
-    uneven = np.flatnonzero(~(deviation * rate <= _MAX_DEVIATION + resolution * rate))
-    if uneven.size:
-        index = int(uneven[0])
-        raise RecordingError(
-            f"{where} are not evenly spaced: sample {numbers[index] + 1} is at {float(times[index]):.9g} s instead of "
-            f"{start + numbers[index] / rate:.9g} s ({rate:.6g} Hz from {start:.6g} s on). Resample the file, or "
-            "import the segments before and after with `from_s` and `to_s`."
-        )
+    for rows, seconds in _numbered_blocks(times):
+        numbers = sample_numbers(rows, missing)
+        deviation = abs(seconds - start - numbers / rate)
+        uneven = np.flatnonzero(~(deviation * rate <= _MAX_DEVIATION + resolution * rate))
+        if uneven.size:
+            index = int(uneven[0])
+            raise RecordingError(
+                f"{where} are not evenly spaced: sample {numbers[index] + 1} is at {float(seconds[index]):.9g} s "
+                f"instead of {start + numbers[index] / rate:.9g} s ({rate:.6g} Hz from {start:.6g} s on). Resample the "
+                "file, or import the segments before and after with `from_s` and `to_s`."
+            )
 
 
 def looks_like_times(first_times: Array, last: float, samples: int) -> bool:

@@ -1,9 +1,11 @@
 """The signals of a file of another program, listed by the reader that its suffix selects."""
 
+import errno
 from collections.abc import Callable
 from contextlib import ExitStack
 from importlib import import_module
 from pathlib import Path
+from tempfile import gettempdir
 
 from daq.extras.importing.signal import Signal
 from rig.core.base.errors import RecordingError
@@ -36,6 +38,11 @@ def signals_of(path: Path, stack: ExitStack) -> list[Signal]:
     try:
         signals = [signal for signal in read(path, stack) if signal.samples > 1]
     except OSError as error:
+        if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
+            raise RecordingError(
+                f"{gettempdir()}: cannot write the numbers of {path} to a temporary file: {error.strerror}. Free space "
+                "on this disk, or name a folder on another disk in the environment variable TMPDIR."
+            ) from error
         raise RecordingError(f"cannot read {path}: {error.strerror or error}. Check the file and its disk.") from error
     except MemoryError:
         raise RecordingError(

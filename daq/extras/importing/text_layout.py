@@ -5,7 +5,7 @@ import math
 import re
 from collections.abc import Container, Sequence
 from datetime import UTC, datetime
-from itertools import accumulate, chain, takewhile
+from itertools import accumulate, chain, pairwise, takewhile
 from pathlib import Path
 from typing import NamedTuple
 
@@ -73,12 +73,14 @@ _STATED_RATE = re.compile(
     rf"(\d(?:[\d.,]| (?=\d{{3}}\b))*(?:e[-+]?\d+)?)(?:\W*|\W*({_RATE_UNIT})\W*)",
     re.IGNORECASE,
 )
-# The sample interval in a line of a heading: ``Delta T (s): 0.001``.
+# The sample interval in a line of a heading: ``Delta T (s): 0.001``. A "time period" is a duration.
 _STATED_INTERVAL = re.compile(
-    rf"\W*(?:delta[ _]?t|dt|(?:sampl\w*|time)[ _-]?(?:interval|period))\W*({_INTERVAL_UNIT})?\W*"
+    rf"\W*(?:delta[ _]?t|dt|sampl\w*[ _-]?(?:interval|period)|time[ _-]?interval)\W*({_INTERVAL_UNIT})?\W*"
     rf"(\d[\d.,]*(?:e[-+]?\d+)?)(?:\W*|\W*({_INTERVAL_UNIT})\W*)",
     re.IGNORECASE,
 )
+# A longer "time interval" is the duration of a measurement: vibration is sampled at more than 10 Hz [s].
+_MAX_TIME_INTERVAL = 0.1
 # Last cells of the heading of an oscilloscope, above the time of the first sample and the sample interval.
 _START_AND_INTERVAL = ("Start", "Increment")
 # A time of day with the date before it; the day is first unless the parts are separated by slashes.
@@ -159,16 +161,16 @@ def detect_layout(path: Path, lines: list[str], encoding: str) -> Layout:
                         + GIVE_VALUE_OF_COUNT
                     )
                 _require_other_delimiter(path, lines[max(number - 1, 0) : number + _MAX_EXAMINED_ROWS], layout)
-                return _with_columns(layout, lines[:number], cells)
+                return _with_columns(layout, lines, cells)
             if delimiter is not None and (numbers := _number_positions(lines[number:], layout)):
                 plain_cells = [cell if k in numbers else "" for k, cell in enumerate(cells)]
-                return _without_texts(path, _with_columns(layout, lines[:number], plain_cells), cells, numbers)
+                return _without_texts(path, _with_columns(layout, lines, plain_cells), cells, numbers)
             complex_cells = _split_pairs(line, delimiter)
             parts = [complex_parts(cell) for cell in complex_cells]
             decimal_comma = any("," in part for part in chain(*parts))
             if max(map(len, parts)) > 1 and _are_numbers([*chain(*parts)], decimal_comma):
                 layout = layout._replace(decimal_comma=decimal_comma)
-                return _with_complex_columns(_with_columns(layout, lines[:number], complex_cells), parts)
+                return _with_complex_columns(_with_columns(layout, lines, complex_cells), parts)
     raise RecordingError(
         f"{path}: no line of numbers among the first {len(lines)} lines. Export the data as a table of numbers."
     )
@@ -313,8 +315,9 @@ def _are_numbers(cells: Sequence[str], decimal_comma: bool) -> bool:
     return None not in values and any(value == value for value in values)
 
 
-def _with_columns(layout: Layout, heading: Sequence[str], cells: Sequence[str]) -> Layout:
+def _with_columns(layout: Layout, first_lines: Sequence[str], cells: Sequence[str]) -> Layout:
     """Add the columns to a layout: their names, units and positions, from the heading and the first line of numbers."""
+    heading = first_lines[: layout.heading_lines]
     lines = [line.lstrip("#%").strip() if line[:1] in "#%" else line for line in heading if line.strip()]
     rows_above = [split_cells(line, layout.delimiter) for line in lines]
     if layout.delimiter is None and lines and len(rows_above[-1]) > len(cells):
@@ -341,7 +344,17 @@ def _with_columns(layout: Layout, heading: Sequence[str], cells: Sequence[str]) 
     # The column of times is empty if the heading states the sample interval.
     is_empty = len(names) > 2 and not cells[first_cell] and _is_abscissa(names[0], units[0])
     is_numbered_abscissa = len(names) > 2 and is_numbered and _is_abscissa(names[1], units[1])
-    is_omitted = interval or is_empty or is_numbered_abscissa or (rate and _LINE_NUMBER.fullmatch(names[0]))
+    is_omitted = bool(interval or is_empty or is_numbered_abscissa)
+    if rate and _LINE_NUMBER.fullmatch(names[0]):
+        # A force in N has such a name, too. The last line may be truncated.
+        numbers = [
+            parse_number(
+                "".join(split_cells(line, layout.delimiter)[first_cell : first_cell + 1]), layout.decimal_comma
+            )
+            for line in first_lines[layout.heading_lines : -1]
+            if line.strip()
+        ]
+        is_omitted |= all(before is not None and after == before + 1 for before, after in pairwise(numbers))
     if len(names) > 1 and is_omitted:
         first_cell, names, units = first_cell + 1, names[1:], units[1:]
     if len(names) > 2 and _COMMENTS.fullmatch(names[-1]):
@@ -377,6 +390,8 @@ def _stated_rate(heading: Sequence[str], decimal_comma: bool) -> float | None:
     (10000.0, 10000.0)
     >>> _stated_rate(["Abtastrate: 51.200 kHz"], True)
     51200.0
+    >>> _stated_rate(["Time period: 60 s", "Time interval: 0.3 s", "Time interval: 2 ms"], False)
+    500.0
     """
     for pattern in (_STATED_RATE, _STATED_INTERVAL):
         for match in filter(None, map(pattern.fullmatch, heading)):
@@ -389,7 +404,10 @@ def _stated_rate(heading: Sequence[str], decimal_comma: bool) -> float | None:
             text = match[2] if grouped is None else match[2].replace(grouped[1], "")
             if number := parse_number(text, decimal_comma):
                 number *= {"M": 1e6, "k": 1e3, "m": 1e-3, "u": 1e-6, "µ": 1e-6, "μ": 1e-6, "n": 1e-9}.get(prefix, 1.0)
-                return number if pattern is _STATED_RATE else rate_of_interval(number)
+                if pattern is _STATED_RATE:
+                    return number
+                if "time" not in match[0].lower() or number < _MAX_TIME_INTERVAL:
+                    return rate_of_interval(number)
     return None
 
 

@@ -12,9 +12,9 @@ from typing import IO
 import numpy as np
 
 from daq.extras.importing.clock import (
-    CLOCK_BYTES,
     TIME_NAMES,
     Clock,
+    blocks,
     clock_of_times,
     looks_like_times,
     time_scale,
@@ -223,9 +223,11 @@ class _Table:
                 following = list(islice(lines, BLOCK_LINES))
                 n_bytes = sum(len(line) for _, line in block)
                 require_memory_with_program(_MEMORY_PER_BYTE * n_bytes, f"{path}: importing it")
-                if not following and self.rows + len(block) > 1 and (reason := self._truncation_reason(*block[-1])):
+                lines_before = self._examined_lines[: self.rows + len(block) - 1]
+                if not following and lines_before and (reason := self._truncation_reason(*block[-1], lines_before)):
                     warn(f"{path}: the last line is truncated, and is not imported ({reason})")
-                    block = block[:-1]
+                    if not (block := block[:-1]):
+                        break
                 store.write(self._parse_lines(block).tobytes())
                 self.rows += len(block)
                 last_line = block[-1][1]
@@ -235,13 +237,13 @@ class _Table:
         if self.rows:
             self._examined_lines = [*self._examined_lines[: self.rows], last_line]
 
-    def _truncation_reason(self, line_number: int, line: str) -> str:
+    def _truncation_reason(self, line_number: int, line: str, lines_before: list[str]) -> str:
         """Return the reason why the last line is certainly truncated; an empty string if it may be complete."""
         try:
             self._parse_line(line_number, line)
         except _InvalidLine as error:
             return error.fault
-        last_cells = [split_cells(each, self._layout.delimiter)[-1] for each in (*self._examined_lines, line)]
+        last_cells = [split_cells(each, self._layout.delimiter)[-1] for each in (*lines_before, line)]
         # Only the digits after the decimal mark are compared; the digits before it depend on the value.
         lengths = [len(re.split("[.,]", cell, maxsplit=1)[-1]) if re.search("[.,]", cell) else 0 for cell in last_cells]
         if not line.endswith(("\n", "\r")) and len(lengths) > _MIN_LINES and lengths[-1] < min(lengths[:-1]):
@@ -277,7 +279,7 @@ class _Table:
         """Return whether a column contains the times of the first column; raise an error if it has other times."""
         if not _FURTHER_TIMES.fullmatch(name):
             return False
-        if not np.array_equal(self.values[:, column], self.values[:, 0]):
+        if not all(np.array_equal(*self.values[block][:, [column, 0]].T) for block in blocks(self.rows)):
             raise RecordingError(
                 f"{self._path}: the times of column {self._layout.names[column]!r} differ from those of the first "
                 "column. Export signals with different times to separate files."
@@ -288,18 +290,28 @@ class _Table:
         """Estimate the clock from the first column, which contains times in `unit`."""
         where = f"{self._path}: the times in its first column"
         scale = time_scale("" if self.has_times_of_day else unit, where)
-        require_memory_with_program(CLOCK_BYTES * self.rows, f"{self._path}: importing it")
-        times = self.values[:, 0] * scale
-        if self.has_milliseconds:
-            times = times + 1e-3 * self.values[:, 1]
-            resolution = min(1e-3 * 10.0 ** -len(re.split("[.,]", f"{cell}.")[1]) for cell in self._first_cells(1))
-        elif self.has_times_of_day:
+        times, milliseconds = self.values[:, 0], np.empty(0)
+        if self.has_times_of_day:
             resolution = min(map(stamp_resolution, self._first_cells()))
+            if self.has_milliseconds and resolution < 1.0:
+                warn(f"{where} have fractions of a second; its column 'ms' is not imported")
+            elif self.has_milliseconds:
+                milliseconds = self.values[:, 1]
+                resolution = min(1e-3 * 10.0 ** -len(re.split("[.,]", f"{cell}.")[1]) for cell in self._first_cells(1))
+                if np.fmax.reduce(milliseconds, initial=0.0) >= 1000.0:
+                    # The milliseconds are counted from the first time of day on.
+                    times = np.broadcast_to(times[0], self.rows)
         else:
-            largest = float(abs(times[[0, -1]]).max(initial=1e-300)) if self.rows else 1.0
+            largest = float(abs(scale * times[[0, -1]]).max(initial=1e-300)) if self.rows else 1.0
             digits = max(map(significant_digits, self._first_cells()), default=1)
             resolution = 10.0 ** (np.floor(np.log10(largest)) + 1 - digits)
-        return clock_of_times(times, resolution, where)
+        with TemporaryFile() as store:
+            for block in blocks(self.rows):
+                added = 1e-3 * milliseconds[block] if milliseconds.size else 0.0
+                store.write((times[block] * scale + added).tobytes())
+            store.flush()
+            seconds: Array = np.memmap(store, np.float64, "r") if self.rows else np.empty(0)
+        return clock_of_times(seconds, resolution, where)
 
     def signal(
         self, position: int, name: str, unit: str, column: int, clock: Clock, samples: int | None = None

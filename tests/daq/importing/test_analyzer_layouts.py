@@ -453,6 +453,7 @@ def test_other_items_of_hdf5_are_omitted(tmp_path: Path) -> None:
     ]
 
 
+@pytest.mark.filterwarnings("ignore:.*'data.index' rises evenly")
 @pytest.mark.parametrize("times", ["time", "index"])
 def test_table_of_hdf5_has_columns(times: str, tmp_path: Path) -> None:
     with h5py.File(tmp_path / "a.h5", "w") as file:

@@ -1,5 +1,6 @@
 """Import of foreign files: samples, rate, units, clock, overloads, gaps, channel tables and `daq import`."""
 
+import errno
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -331,6 +332,45 @@ def test_unnamed_evenly_rising_column_is_time(form, tmp_path, imported):
     assert recording.rate == RATE
     np.testing.assert_allclose(recording.read("body1"), rows[1], rtol=1e-6)
     assert any("rises evenly" in text and "is used as times" in text for text in messages)
+
+
+@pytest.mark.parametrize("index", ["table.axis1", "table.index"])
+def test_index_used_as_times_is_reported(index, tmp_path):
+    np.savez(tmp_path / "a.npz", **{index: 0.5 * np.arange(400), "table.block0_values": random_samples(400).T})
+    with ExitStack() as stack, pytest.warns(RunWarning, match=f"'{index}' rises evenly, by 0.5, and is used as times"):
+        assert {signal.rate for signal in signals_of(tmp_path / "a.npz", stack)} == {2.0}
+
+
+@pytest.mark.parametrize(
+    ("clock", "milliseconds"), [("10:00:{:06.3f}", 3000), ("10:00:{:06.3f}", 1000), ("10:00:{:02.0f}", 3000)]
+)
+@pytest.mark.filterwarnings("ignore:.*its column 'ms' is not imported")
+def test_elapsed_milliseconds_are_not_added_twice(clock, milliseconds, tmp_path):
+    digits = 1000 if "02" in clock else 1
+    rows = "".join(f"{clock.format(k // digits * digits / 1000)},{k % milliseconds},{k % 7}\n" for k in range(3000))
+    (tmp_path / "a.csv").write_text("Time,ms,tip [g]\n" + rows)
+    with ExitStack() as stack:
+        (signal,) = signals_of(tmp_path / "a.csv", stack)
+        assert (signal.name, signal.rate, signal.samples) == ("tip", 1000.0, 3000)
+
+
+@pytest.mark.filterwarnings("ignore:.*the sample rate of its heading")
+@pytest.mark.parametrize("heading", ["N,g", "Point,Base"])
+def test_signal_named_like_line_number_is_imported(heading, tmp_path):
+    rows = "".join(f"{k % 7},{k % 5}\n" for k in range(300))
+    (tmp_path / "a.csv").write_text(f"Sample rate: 1000 Hz\n{heading}\n{rows}")
+    with ExitStack() as stack:
+        assert [signal.name for signal in signals_of(tmp_path / "a.csv", stack)] == heading.split(",")
+
+
+def test_full_temporary_folder_is_named(tmp_path, monkeypatch):
+    def fail(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(text_table, "TemporaryFile", fail)
+    (tmp_path / "a.csv").write_text("t [s],a [g]\n0.0,1\n0.1,2\n")
+    with ExitStack() as stack, pytest.raises(RecordingError, match=r"temporary file: No space left .* TMPDIR"):
+        signals_of(tmp_path / "a.csv", stack)
 
 
 def test_column_of_line_numbers_is_not_time(tmp_path, imported):

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import pyuff
 
+from daq.extras.importing import clock
 from daq.extras.importing.channel_table import Column
 from daq.extras.importing.clock import clock_of_times, missing_rows
 from daq.extras.importing.text_table import BLOCK_LINES, text_signals
@@ -119,6 +120,36 @@ def test_truncated_last_line_is_omitted(cut_bytes, tmp_path, imported):
     assert recording.samples == 3999
     np.testing.assert_allclose(recording.read("force"), SAMPLES[2, :3999], rtol=1e-9)
     assert any("last line is truncated, and is not imported" in message for message in messages)
+
+
+@pytest.mark.parametrize("rows", [11, 50, BLOCK_LINES + 1])
+def test_truncated_line_after_few_rows_is_omitted(rows, tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text("t [s],a [g]\n" + "\n".join(f"{k / 100:.2f},{k + 0.5:.3f}" for k in range(rows))[:-1])
+    with ExitStack() as stack, pytest.warns(RunWarning, match="last line is truncated, and is not imported"):
+        assert text_signals(path, stack)[0].samples == rows - 1
+
+
+def test_times_need_little_memory(tmp_path, monkeypatch):
+    # The program itself takes 200 MB.
+    monkeypatch.setenv("SHOTRIG_MEMORY", "210 MB")
+    path = tmp_path / "a.csv"
+    path.write_text("t [s],a [g]\n" + "".join(f"{k / 1000:.3f},1\n" for k in range(300_000)))
+    with ExitStack() as stack:
+        assert text_signals(path, stack)[0].rate == 1000.0
+
+
+@pytest.mark.filterwarnings("ignore::rig.core.base.errors.RunWarning")
+@pytest.mark.parametrize("jitter", [0.0, 0.3], ids=["gaps", "jitter"])
+def test_clock_is_the_same_in_blocks(jitter, monkeypatch):
+    numbers = np.delete(np.arange(1000), [] if jitter else [127, 128, 129, 600])
+    times = 1.7e9 + (numbers + jitter * np.random.default_rng(3).uniform(-1.0, 1.0, numbers.size)) / 64.0
+    whole = clock_of_times(times, 0.0, "times")
+    monkeypatch.setattr(clock, "_BLOCK_TIMES", 64)
+    in_blocks = clock_of_times(times, 0.0, "times")
+    # A time since 1970 has a resolution of 0.24 µs.
+    assert in_blocks == whole._replace(start_s=pytest.approx(whole.start_s, rel=0, abs=1e-6))
+    assert list(whole.missing) == ([] if jitter else [(127, 3), (597, 1)])
 
 
 def test_complete_last_line_without_end_is_read(tmp_path):

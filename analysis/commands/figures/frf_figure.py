@@ -19,6 +19,7 @@ from analysis.commands.figures.determined_lines import (
 )
 from analysis.commands.figures.peak_marks import (
     PEAK_SYMBOLS,
+    DrawnResponse,
     PeakMark,
     draw_marks,
     drawn_response,
@@ -240,14 +241,14 @@ def _draw_curve(
         magnitude_axes.plot(
             frf.frequency[frf.unsteady], magnitude[frf.unsteady], "x", color=color, markersize=6, zorder=4
         )
-    angle = phase_degrees(curve.value, top)
+    angle, point_angle = drawn_phases(curve, top)
     drawn, center = break_at_wraps(curve.frequency, angle)
     for half_width, opacity in bands:
         ratio = np.interp(curve.frequency, frf.frequency[is_known], half_width[is_known] / magnitude[is_known])
         width = break_at_wraps(curve.frequency, angle, np.degrees(np.arcsin(np.minimum(ratio, 1.0))))[1]
         phase_axes.fill_between(drawn, center - width, center + width, color=color, alpha=opacity, lw=0)
     phase_axes.plot(drawn, center, **line)
-    phase_axes.plot(frf.frequency, np.where(curve.has_phase, phase_degrees(frf.value, top), np.nan), **points)
+    phase_axes.plot(frf.frequency, point_angle, **points)
     if has_scatter(frf):
         if is_unknown.any():
             coherence_axes.plot(frf.frequency, frf.coherence, color=faded(color), lw=0.7, zorder=2)
@@ -332,18 +333,30 @@ def break_at_wraps(frequency: Array, angle: Array, values: Array | None = None) 
 def phase_degrees(value: ComplexArray, top: float = _PHASE_TOPS[0]) -> Array:
     """Return the phase in degrees, from `top` - 360 to `top`.
 
-    A piece of a curve between two wraps that stays within the margin of the axis is not wrapped.
+    A piece of a curve between two wraps that stays within the margin of the axis is not wrapped. Undefined values (NaN)
+    do not change the other phases.
     """
-    angle = top - np.mod(top - np.degrees(np.angle(value)), 360.0)
-    with np.errstate(invalid="ignore"):
-        wraps = np.flatnonzero(abs(np.diff(angle)) > 180.0) + 1
+    phase = np.full(value.shape, np.nan)
+    is_known = np.isfinite(value)
+    angle = top - np.mod(top - np.degrees(np.angle(value[is_known])), 360.0)
+    wraps = np.flatnonzero(abs(np.diff(angle)) > 180.0) + 1
     for start, stop in pairwise(wraps.tolist()):
         piece = angle[start:stop]
         if (abs(piece - top) < _WRAP_MARGIN).all():
             piece -= 360.0
         elif (abs(piece - top + 360.0) < _WRAP_MARGIN).all():
             piece += 360.0
-    return angle
+    phase[is_known] = angle
+    return phase
+
+
+def drawn_phases(curve: DrawnResponse, top: float) -> tuple[Array, Array]:
+    """Return the phases of a drawn curve and of its lines, wrapped at the same places; NaN where not determined."""
+    frequency = np.concatenate([curve.frequency, curve.lines.frequency])
+    value = np.concatenate([curve.value, np.where(curve.has_phase, curve.lines.value, np.nan)])
+    order, angle = np.argsort(frequency, kind="stable"), np.empty(frequency.size)
+    angle[order] = phase_degrees(value[order], top)
+    return angle[: curve.frequency.size], angle[curve.frequency.size :]
 
 
 def phase_ticks(top: float) -> list[float]:

@@ -31,7 +31,7 @@ _MAX_TEXT_VALUES = 500
 _SIDE_MARGIN = 0.03
 # Distance of values from the ends of a linear vertical axis, relative to their range.
 _VERTICAL_MARGIN = 0.15
-# A longer remainder of a caption is folded [characters].
+# Longer notes of a chart are folded [characters].
 _MAX_KEY = 300
 _DEFAULT_STYLE = body_style(1)
 
@@ -102,9 +102,9 @@ class Panel:
 
 @dataclass(frozen=True)
 class Chart:
-    """Panels one below the other, with a caption and a text alternative for screen readers."""
+    """Panels one below the other, with a title above them and a text alternative for screen readers."""
 
-    caption: str  # its first sentence is the title above the panels; a long remainder is folded
+    title: str
     alternative: str
     panels: Sequence[Panel]
     x_name: str = "frequency"
@@ -113,6 +113,7 @@ class Chart:
     x_limits: tuple[float, float] | None = None  # minimum extent of the horizontal axis
     x_view: tuple[float, float] | None = None  # part of the horizontal axis that is shown first
     names: Sequence[str] = ()  # curves in the order of the legend; default: in the order of drawing
+    notes: Sequence[str] = ()  # sentences below the panels; a long text is folded
 
 
 @dataclass
@@ -138,12 +139,12 @@ class ChartWriter:
         }
         # The text "</script>" inside the data would end the script element.
         text = json.dumps(data, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
-        title, _, key = typeset(chart.caption).partition(". ")
+        key = typeset(" ".join(filter(None, chart.notes)))
         key = f'<p class="key">{key}</p>' if key else ""
         if len(key) > _MAX_KEY:
             key = f'<details class="key"><summary>How to read the charts</summary>{key}</details>'
         return (
-            f"<figure><figcaption><b>{title.removesuffix('.')}</b></figcaption>"
+            f"<figure><figcaption><b>{typeset(chart.title)}</b></figcaption>"
             f'<div class="chart" role="img" aria-label="{escape_html(chart.alternative)}" '
             f'data-source="{identifier}"></div>'
             f'<script type="application/json" id="{identifier}">{text}</script></figure>{key}'

@@ -48,10 +48,7 @@ def _profile_chart(check: ProfileCheck) -> Chart:
     highest = max(float(np.nanmax(np.asarray(curve.y))) for curve in curves)
     return Chart(
         f"Control channel with profile and tolerance of {check.tolerance:g} dB; limited channels with limits (dotted)"
-        + " and 95 % intervals" * check.is_density
-        + "."
-        + " Colored strips: a limit keeps the control below the tolerance." * bool(check.is_reduced.any())
-        + " Black strips: outside the tolerance, where no limit acts." * bool(check.is_outside.any()),
+        + " and 95 % intervals" * check.is_density,
         "Control and limited channels against the profile.",
         [
             Panel(
@@ -65,6 +62,10 @@ def _profile_chart(check: ProfileCheck) -> Chart:
             )
         ],
         logarithmic=True,
+        notes=[
+            "Colored strips: a limit keeps the control below the tolerance." * bool(check.is_reduced.any()),
+            "Black strips: outside the tolerance, where no limit acts." * bool(check.is_outside.any()),
+        ],
     )
 
 
@@ -79,7 +80,6 @@ def _tracking_chart(result: AmplitudeCurve | Backbone) -> Chart:
         curves.append(_bars(part, result.frequency, amplitude, bound))
     difference = float(np.nanmax(abs(result.force / result.level - 1.0))) if result.unit == "N" else 0.0
     notes = [
-        "Points in the order of the test, with 95 % intervals.",
         common_error_text(result.amplitude, result.amplitude_own, result.amplitude_expanded),
         "Hollow circles: motions that are unstable at constant force." * any(not part.is_stable for part in parts),
         f"The measured force differs from its level by up to {format_percent(difference)}."
@@ -90,11 +90,12 @@ def _tracking_chart(result: AmplitudeCurve | Backbone) -> Chart:
     ends = dict(zip(result.frequency.tolist(), (amplitude + bound).tolist(), strict=True))
     marks = [Mark(at, ends.get(at, 1e3 * height), text) for at, height, text in sorted(result.marks())]
     return Chart(
-        " ".join(filter(None, notes)),
+        "Points in the order of the test, with 95 % intervals",
         "Amplitude against frequency of the controlled tone.",
         [Panel(f"amplitude of {result.body}", "mm", curves, 300, limits=limits_with_margin(curves), marks=marks)],
         x_name="excitation frequency",
         x_limits=side_limits(frequency),
+        notes=notes,
     )
 
 
@@ -110,7 +111,7 @@ def _modal_chart(result: Backbone) -> Chart:
         curves = [path, _bars(part, amplitude, values, bound)]
         panels.append(Panel(name, unit, curves, 170, limits=limits_with_margin(curves)))
     return Chart(
-        "Natural frequency and damping ratio at each level against amplitude, with 95 % intervals.",
+        "Natural frequency and damping ratio at each level against amplitude, with 95 % intervals",
         "Natural frequency and damping ratio against amplitude.",
         panels,
         x_name=f"amplitude of {result.body}",
@@ -152,7 +153,7 @@ def control_charts(measurement: Measurement) -> list[Chart]:
         moving = 1e3 * elapsed[abs(target) > _VISIBLE_PART * abs(target).max()]
         view = _PULSE_VIEW * float(moving.min()), _PULSE_VIEW * float(moving.max())
     waveform = Chart(
-        "First shock at the control channel; band: tolerance.",
+        "First shock at the control channel; band: tolerance",
         f"Acceleration of {control} in the first shock.",
         [Panel("acceleration", "m/s²", curves, height=220)],
         x_name="time",
@@ -172,7 +173,7 @@ def control_charts(measurement: Measurement) -> list[Chart]:
         curves.append(Curve("prescribed", frequency, values, values / ratio, values * ratio, CurveStyle(BASELINE)))
     response = Chart(
         f"Shock response spectra (maximax, {OCTAVE_STEPS} per octave) of the first shock, Q = {first.q:g}"
-        + f"; {scatter_text(measurement.spectra)}.",
+        + f"; {scatter_text(measurement.spectra)}",
         "Shock response spectra of the control channel and the bodies.",
         [Panel("shock response", "m/s²", curves, height=260, logarithmic=True)],
         x_name="natural frequency",

@@ -63,7 +63,7 @@ def time_histories(rec: Recording, names: Sequence[str]) -> Chart:
     resolution = "every sample" if is_complete else f"largest and smallest value of each of {_INTERVALS} intervals"
     part = f" of {len(names)} of {len(rec.channels)} channels" * (len(names) < len(rec.channels))
     return Chart(
-        f"Time histories{part}, {resolution}.",
+        f"Time histories{part}, {resolution}",
         f"Time histories of the channels {', '.join(names)} over {rec.duration:.4g} s.",
         panels,
         x_name="time",
@@ -113,11 +113,12 @@ def spectrograms(rec: Recording, names: Sequence[str]) -> list[Chart]:
         charts.append(
             Chart(
                 f"Spectrogram of {name} ({rec.channels[name].quantity}); the colors span {IMAGE_SPAN_DB:g} dB below "
-                f"the highest level. {starts.size} Hann windows of {block / rec.rate:.3g} s.",
+                "the highest level",
                 f"Spectrogram of {name} from 0 to {highest:.4g} Hz over {rec.duration:.4g} s.",
                 [Panel("frequency", "Hz", height=150, limits=band, image=image)],
                 x_name="time",
                 x_unit="s",
+                notes=[f"{starts.size} Hann windows of {block / rec.rate:.3g} s."],
             )
         )
     return charts

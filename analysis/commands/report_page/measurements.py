@@ -121,11 +121,12 @@ class Measurement:
 
     @property
     def drawn(self) -> list[str]:
-        """Channels in charts: of many, the forces, then those with the highest peak of a mode, then the others."""
+        """Channels in charts: of many, some forces, then those with the highest peak of a mode, then the others."""
         channels = self.rec.channels
         forces = [name for name, info in channels.items() if info.quantity == "force"]
         highest = [pair[0].response for sweep in self.sweeps for pair in sweep.peaks if pair is not None]
-        chosen = list(dict.fromkeys([*forces, *highest, *channels]))[:_MAX_DRAWN]
+        # Many forces would leave no place for the responses.
+        chosen = list(dict.fromkeys([*forces[: _MAX_DRAWN // 2], *highest, *channels]))[:_MAX_DRAWN]
         return [name for name in channels if name in chosen]
 
 

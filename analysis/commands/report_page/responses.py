@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from math import inf
@@ -14,7 +13,7 @@ from analysis.commands.figures.decay_figure import frequency_title, group_modes
 from analysis.commands.figures.determined_lines import MAX_MARKED, folds_back
 from analysis.commands.figures.frf_figure import (
     break_at_wraps,
-    phase_degrees,
+    drawn_phases,
     phase_ticks,
     phase_top,
     undetermined_text,
@@ -62,8 +61,6 @@ _MODE_WIDTH = 0.05
 _INTERVALS = 1200
 # Half of the gap where the phase wraps, relative to its frequency: about a pixel.
 _GAP_RATIO = 0.005
-# The end of a sentence of a caption.
-_SENTENCE_END = re.compile(r"(?<=[.)]) (?=[A-Z])")
 
 
 def response_charts(measurements: Sequence[Measurement], baseline_name: str) -> list[Chart]:
@@ -74,9 +71,8 @@ def response_charts(measurements: Sequence[Measurement], baseline_name: str) -> 
     recording with which the others are compared.
     """
     with_responses = [measurement for measurement in measurements if measurement.sweeps]
-    drawn = {name for measurement in with_responses for name in measurement.drawn}
-    all_frfs = [frf for measurement in with_responses for sweep in measurement.sweeps for frf in sweep.frfs]
-    frfs = [frf for frf in all_frfs if frf.response in drawn]
+    all_frfs = [(frf, each.drawn) for each in with_responses for sweep in each.sweeps for frf in sweep.frfs]
+    frfs = [frf for frf, drawn in all_frfs if frf.response in drawn]
     part = f"Drawn: {len(frfs)} of {len(all_frfs)} responses, first those with the highest peak of a mode."
     several = len({frf.label for frf in frfs}) > 1
     charts = list[Chart]()
@@ -99,13 +95,10 @@ def response_charts(measurements: Sequence[Measurement], baseline_name: str) -> 
         # A chart is also read or saved alone.
         excitation = _joined({each.label: excitation_text(each.rec) for each in with_responses})
         test = _joined({each.label: _test_text(each) for each in with_responses})
-        title, *sentences = _SENTENCE_END.split(chart.caption)
-        sentences += [part] * (len(frfs) < len(all_frfs)) + [f"Test: {test}."] * bool(test)
+        sentences = [*chart.notes, *[part] * (len(frfs) < len(all_frfs)), *[f"Test: {test}."] * bool(test)]
         # Later charts do not repeat the sentences of the first.
         shown = [text for text in sentences if text not in stated]
-        charts.append(
-            replace(chart, caption=" ".join([f"{title[:-1]}; {excitation}." if excitation else title, *shown]))
-        )
+        charts.append(replace(chart, title="; ".join(filter(None, [chart.title, excitation])), notes=shown))
         stated.update(sentences)
     return charts
 
@@ -214,7 +207,8 @@ def response_chart(
             gray = np.where(joined, modulus, np.nan)[stored]
             magnitude.append(Curve(name, f[stored], gray, style=style, draw="pale"))
         shown = _extremes(thin.frequency, thin.value)
-        line = _break_visibly(thin.frequency[shown], phase_degrees(thin.value[shown], top))
+        curve_angle, point_angle = drawn_phases(thin, top)
+        line = _break_visibly(thin.frequency[shown], curve_angle[shown])
         if draw == "points":
             magnitude.append(through)
             phase.append(Curve(name, *line, style=style, draw="through"))
@@ -226,8 +220,7 @@ def response_chart(
         if draw == "line":
             phase.append(Curve(name, *line, style=style))
         else:
-            angle = np.where(thin.has_phase, phase_degrees(thin.lines.value, top), np.nan)[chosen]
-            phase.append(Curve(name, *break_at_wraps(f, angle), style=style, draw=draw))
+            phase.append(Curve(name, *break_at_wraps(f, point_angle[chosen]), style=style, draw=draw))
         draw = "dots" if draw == "dots" else "line"
         coherence.append(Curve(name, f, frf.coherence, style=style, draw=draw))
         relative.append(Curve(name, f, np.minimum(100.0 * expanded / modulus, _MAX_PERCENT), style=style, draw=draw))
@@ -244,7 +237,7 @@ def response_chart(
         f"Pale, with a strip at the axis: undetermined ({undetermined_text(frfs)})." * bool(strips),
     ]
     return Chart(
-        f"{quantity.capitalize()} of {outputs} / {frfs[0].input}. {' '.join(filter(None, notes))}",
+        f"{quantity.capitalize()} of {outputs} / {frfs[0].input}",
         f"{quantity.capitalize()} of {outputs} / {frfs[0].input} from {band.min():.4g} to {band.max():.4g} Hz.",
         [
             Panel(f"|{quantity}|", unit, magnitude, 240, True, _limits(magnitude, view), marks=marks, strips=strips),
@@ -255,6 +248,7 @@ def response_chart(
         logarithmic=needs_logarithmic_axis(band),
         x_limits=(float(band.min()), float(band.max())),
         x_view=view,
+        notes=notes,
     )
 
 
@@ -307,11 +301,11 @@ def force_charts(measurements: Sequence[Measurement], baseline_name: str) -> lis
     points = f"Circles, outside: {'; '.join(outside)}." if outside else "All points are within it."
     return [
         Chart(
-            f"Force at each frequency, and the required force with its tolerance of {format_percent(FORCE_TOLERANCE)}. "
-            + points,
+            f"Force at each frequency, and the required force with its tolerance of {format_percent(FORCE_TOLERANCE)}",
             f"Force from {frequency.min():.4g} to {frequency.max():.4g} Hz.",
             [Panel("force", "N", curves, height=170, limits=limits_with_margin(curves))],
             logarithmic=needs_logarithmic_axis(frequency),
+            notes=[points],
         )
     ]
 
@@ -357,15 +351,18 @@ def stabilization_charts(measurements: Sequence[Measurement]) -> list[Chart]:
         marks = [Mark(natural, 0.0, texts[natural]) for natural in sorted(texts)]
         charts.append(
             Chart(
-                f"{sweep.label}: poles of models of increasing order. Dotted lines: the identified modes, each with a "
-                f"column of stable poles. Two columns on either side of one line indicate a nonlinear mode."
-                + " Question marks: uncertain modes." * bool(modes.uncertain)
-                + " Hollow: stable, but not identified as a mode." * any(curve.draw == "circles" for curve in curves),
+                f"{sweep.label}: poles of models of increasing order",
                 f"Stabilization diagram of {sweep.label}.",
                 [Panel("model order", "", curves, 130, limits=(0.0, 1.05 * top), ticks=ticks, marks=marks)],
                 logarithmic=needs_logarithmic_axis(band),
                 x_limits=(float(band.min()), float(band.max())),
                 x_view=view,
+                notes=[
+                    "Dotted lines: the identified modes, each with a column of stable poles.",
+                    "Two columns on either side of one line indicate a nonlinear mode.",
+                    "Question marks: uncertain modes." * bool(modes.uncertain),
+                    "Hollow: stable, but not identified as a mode." * any(curve.draw == "circles" for curve in curves),
+                ],
             )
         )
     return charts
@@ -469,13 +466,15 @@ def damper_charts(measurement: Measurement) -> list[Chart]:
     band = np.concatenate(frequencies)
     return [
         Chart(
-            f"“{measurement.label}” ({excitation_text(measurement.rec)}): impacts per period, and share of energy. "
-            "Impacts on floor and ceiling; gaps: no regular pattern; 0: none above the detection limit. Energy: "
-            "percentage of the supplied energy that the dampers dissipate (95 %).",
+            f"“{measurement.label}” ({excitation_text(measurement.rec)}): impacts per period, and share of energy",
             f"Damper impacts per period against frequency, {band.min():.4g} to {band.max():.4g} Hz.",
             panels,
             logarithmic=needs_logarithmic_axis(band),
             x_limits=side_limits(band) if any(curve.draw == "dots" for curve in panels[0].curves) else None,
+            notes=[
+                "Impacts on floor and ceiling; gaps: no regular pattern; 0: none above the detection limit. Energy: "
+                "percentage of the supplied energy that the dampers dissipate (95 %)."
+            ],
         )
     ]
 
@@ -500,7 +499,7 @@ def decay_charts(measurements: Sequence[Measurement], baseline_name: str) -> lis
     channels = ", ".join(dict.fromkeys(result.channel for _, result in labeled_decays))
     charts = [
         Chart(
-            f"Free decay of {channels}: peaks of the acceleration, and backward-integrated (Schroeder) energy.",
+            f"Free decay of {channels}: peaks of the acceleration, and backward-integrated (Schroeder) energy",
             f"Free decay of {channels} over {max(result.time[-1] for _, result in labeled_decays):.3g} s.",
             [
                 Panel("acceleration peaks", "m/s²", envelopes, height=220, logarithmic=True),
@@ -539,11 +538,11 @@ def _damping_chart(
         limits = lowest, highest
         panels.append(Panel("ζ", "%", curves, 130, title=frequency_title(group), logarithmic=True, limits=limits))
     return Chart(
-        "Damping ratio ζ of each mode against amplitude of the acceleration, with 95 % intervals. Thin, with a "
-        "band down to the axis: includes zero. Frequencies: those of the decay table.",
+        "Damping ratio ζ of each mode against amplitude of the acceleration, with 95 % intervals",
         "Damping ratio of each mode against the amplitude of the acceleration.",
         panels,
         x_name="amplitude",
         x_unit="m/s²",
         logarithmic=True,
+        notes=["Thin, with a band down to the axis: includes zero. Frequencies: those of the decay table."],
     )

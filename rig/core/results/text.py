@@ -92,8 +92,12 @@ def _round_pair(value: float, expanded: float) -> tuple[str, str]:
 def format_limited(value: float, expanded: float, highest: float = inf) -> str:
     """Write a quantity between 0 and a highest value with its interval, or with one limit if the other is out of range.
 
+    An interval that is entirely out of range is written as it is.
+
     >>> format_limited(31.2, 18.0, 100.0), format_limited(5.3, 18.0, 100.0), format_limited(86.0, 18.0, 100.0)
     ('31 ± 18', 'below 23', 'above 68')
+    >>> format_limited(-31.2, 18.0, 100.0), format_limited(130.0, 18.0, 100.0)
+    ('-31 ± 18', '130 ± 18')
     >>> format_limited(50.0, 60.0, 100.0), format_limited(12.345, float("nan")), format_limited(float("nan"), 1.0)
     ('not determined', '12.35', '')
     """
@@ -102,6 +106,8 @@ def format_limited(value: float, expanded: float, highest: float = inf) -> str:
     low, high = value - expanded, value + expanded
     if low <= 0.0 and high >= highest:
         return "not determined"
+    if high <= 0.0 or low >= highest:
+        return format_interval(value, expanded)
     if low <= 0.0 < expanded < inf:
         return f"below {round_to_bound(high, expanded)}"
     if high >= highest:

@@ -28,7 +28,7 @@ from analysis.commands.report_page.charts import Chart, ChartWriter, Curve, Even
 from analysis.commands.report_page.drawing import mode_drawing, rig_drawing
 from analysis.commands.report_page.histories import time_histories
 from analysis.commands.report_page.levels import _highest_maximum
-from analysis.commands.report_page.measurements import Measurements, SweepChange, highest_peak
+from analysis.commands.report_page.measurements import Measurement, Measurements, SweepChange, highest_peak
 from analysis.commands.report_page.report import page_title, write_report
 from analysis.commands.report_page.responses import force_charts, response_chart, response_charts, stabilization_charts
 from analysis.commands.report_page.summary import limitations, summarize
@@ -256,9 +256,9 @@ def test_levels_of_one_recording_have_own_colors(level_recordings) -> None:
     curves = {curve.label: curve.style.color for curve in chart.panels[0].curves}
     assert [*curves] == ["1 N", "2 N", "3 N", "4 N"] and len({*curves.values()}) == 4
     # One chart for each channel; only the first explains its symbols.
-    assert [("95 %" in each.caption) for each in (chart, *others)] == [True, False, False]
+    assert ["95 %" in " ".join(each.notes) for each in (chart, *others)] == [True, False, False]
     # Each chart names the kind of test, because it is also read alone.
-    assert all("; sine, 1 N." in each.caption for each in (chart, *others))
+    assert all(each.title.endswith("; sine, 1 N") for each in (chart, *others))
 
 
 def test_page_of_many_channels_draws_few(recordings: list[Path], monkeypatch: pytest.MonkeyPatch) -> None:
@@ -270,8 +270,25 @@ def test_page_of_many_channels_draws_few(recordings: list[Path], monkeypatch: py
         histories = time_histories(measurement.rec, drawn)
     highest = {pair[0].response for pair in measurement.sweeps[0].peaks if pair is not None}
     assert len(drawn) == 2 < count and highest & {*drawn}
-    assert {curve.label for curve in chart.panels[0].curves} <= {*drawn} and "Drawn: " in chart.caption
-    assert list(histories.names) == drawn and f"2 of {count} channels" in histories.caption
+    assert {curve.label for curve in chart.panels[0].curves} <= {*drawn} and "Drawn: " in " ".join(chart.notes)
+    assert list(histories.names) == drawn and f"2 of {count} channels" in histories.title
+
+
+def test_many_forces_leave_places_for_responses() -> None:
+    channels = {f"hit{k}": SimpleNamespace(quantity="force") for k in range(16)}
+    channels |= {"tip": SimpleNamespace(quantity="acceleration")}
+    rec, sweep = SimpleNamespace(channels=channels), SimpleNamespace(peaks=[(SimpleNamespace(response="tip"), None)])
+    drawn = Measurement(Path(), "", rec, (sweep,)).drawn  # type: ignore[arg-type]
+    assert len(drawn) == 16 and "tip" in drawn
+
+
+def test_each_recording_draws_its_own_channels(recordings: list[Path], monkeypatch: pytest.MonkeyPatch) -> None:
+    with Measurements(recordings) as measurements:
+        one, other = measurements.results
+    drawn = property(lambda self: ["body1"] if self is one else ["body2"])
+    monkeypatch.setattr(Measurement, "drawn", drawn)
+    charts = response_charts([one, other], one.label)
+    assert [{curve.label for curve in chart.panels[0].curves} for chart in charts] == [{one.label}, {other.label}]
 
 
 def test_curve_that_folds_back_is_drawn_as_points() -> None:
@@ -330,7 +347,8 @@ def test_report_of_shock_shows_its_pulse(tmp_path: Path) -> None:
 )
 def test_chart_data_suit_axis_and_page(curve: Curve, logarithmic: bool, data: str) -> None:
     panel = Panel("size", "m", [curve], logarithmic=logarithmic)
-    assert data in ChartWriter().write(Chart("caption", "alternative", [panel]))
+    html = ChartWriter().write(Chart("“Fig. 8, two dampers”", "alternative", [panel], notes=["Below."]))
+    assert data in html and "<b>“Fig. 8, two dampers”</b>" in html and '<p class="key">Below.</p>' in html
 
 
 def test_answer_names_each_sweep(tmp_path: Path) -> None:
@@ -347,6 +365,19 @@ def test_phase_has_a_gap_where_it_wraps() -> None:
     phase = response_chart([curve], ["body1"]).panels[1]
     assert phase.label == "phase" and np.isnan(phase.curves[0].y).sum() == 1
     assert np.isfinite(phase.curves[0].x).all() and np.nanmax(abs(np.diff(phase.curves[0].y))) < 41.0
+
+
+def test_points_and_curve_have_the_same_phase() -> None:
+    # A range beyond the end of the axis with an undetermined line inside.
+    f = np.linspace(10.0, 40.0, 121)
+    value = np.exp(-1j * np.radians(np.where(abs(f - 25.0) < 1.0, 338.0, 320.0)))
+    error = np.where(abs(f - 25.0) < 0.1, 2.0, 0.01)
+    frf = Response.curve(f, value, "body1", error=error, degrees_of_freedom=np.full(f.size, 9.0))
+    through, points = response_chart([frf], ["body1"]).panels[1].curves
+    common = np.isin(points.x, through.x)
+    place = np.searchsorted(through.x, np.asarray(points.x)[common])
+    assert common.sum() > 100
+    assert np.nanmax(abs(np.asarray(points.y)[common] - np.asarray(through.y)[place])) < 1.0
 
 
 def test_responses_of_other_channels_are_not_compared(recordings: list[Path], tmp_path: Path) -> None:
@@ -441,7 +472,7 @@ def test_unsettled_points_and_open_peaks_are_marked() -> None:
     )
     symbols = {curve.draw: np.asarray(curve.x).tolist() for curve in chart.panels[0].curves}
     assert symbols["crosses"] == [12.0] and symbols["arrows"] == [15.0] and "circles" not in symbols
-    assert "Crosses" in chart.caption and "Arrows" in chart.caption
+    assert "Crosses" in " ".join(chart.notes) and "Arrows" in " ".join(chart.notes)
 
 
 def test_force_outside_its_tolerance_is_stated(recordings: list[Path]) -> None:
@@ -455,7 +486,7 @@ def test_force_outside_its_tolerance_is_stated(recordings: list[Path]) -> None:
         rec = SimpleNamespace(scene=scene)
         changed = replace(measurement, sweeps=(replace(sweep, frfs=frfs),), rec=rec)  # type: ignore[arg-type]
         [chart] = force_charts([changed], "")
-    assert f"{frfs[0].label}: {frfs[0].frequency[3]:g} Hz, by up to 2 %" in chart.caption
+    assert f"{frfs[0].label}: {frfs[0].frequency[3]:g} Hz, by up to 2 %" in chart.notes[0]
 
 
 @pytest.mark.parametrize(
@@ -646,7 +677,7 @@ def test_peak_far_above_its_points_is_called_extrapolated() -> None:
     for frf, is_extrapolated in ((curve, False), (coarse, True)):
         found = resonance_peaks(frf)
         peaks = [peak_marks(frf, found)]
-        texts = [found[0][1].height_text(1.0), response_chart([frf], ["body1"], peaks=peaks).caption]
+        texts = [found[0][1].height_text(1.0), " ".join(response_chart([frf], ["body1"], peaks=peaks).notes)]
         assert ["extrapolated" in text for text in texts] == [is_extrapolated, is_extrapolated]
 
 

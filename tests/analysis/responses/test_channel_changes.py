@@ -2,18 +2,20 @@
 
 import re
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import analysis
 import daq
-from analysis.core.responses.checks import channel_changes
+from analysis.core.responses.checks import channel_changes, tone_steps
 from analysis.core.responses.checks.failed_channels import failed_channels
 from analysis.core.responses.checks.gain_steps import step_warnings
 from analysis.core.responses.checks.tone_steps import ToneStep
 from rig.core.results.response import Response, stack
 from tests.analysis.responses import synthetic
+from tests.peak_memory import peak_memory
 
 SECONDS = 40.0
 
@@ -335,3 +337,18 @@ def test_failed_hammer_is_named(impulses, tmp_path):
     [response] = responses_with_gain(impulses, tmp_path, ["hammer"], 1e-5, 640 + 3 * round(6.0 * synthetic.RATE) - 400)
     assert any(text.startswith("hammer: disconnected or failed") for text in response.warnings)
     assert not any("marker" in text for text in response.warnings)
+
+
+def test_memory_of_search_is_independent_of_duration(monkeypatch):
+    monkeypatch.setattr(tone_steps, "_BATCH_READINGS", 1 << 15)
+    noise = np.random.default_rng(0).standard_normal(1000)
+
+    def search(samples):
+        rec = SimpleNamespace(
+            rate=1000.0, samples=samples, read=lambda _, start, stop: noise[np.arange(start, stop) % 1000]
+        )
+        return list(tone_steps._blocks_to_search(rec, tone_steps.ToneInterval(0, samples, 0.02), ["a", "b"], []))
+
+    search(1000)
+    short, long = (peak_memory(search, samples)[0] for samples in (50_000, 200_000))
+    assert long < 1.3 * short

@@ -67,6 +67,8 @@ _MAX_FRACTION_OF_STEP = 0.7
 # the limits are therefore relaxed by this factor.
 _GROUPS_PER_PERIOD = 16
 _GROUP_TOLERANCE = 1.5
+# Largest number of readings in the blocks of a steady tone that are searched together: their fits take up to 60 MB.
+_BATCH_READINGS = 1 << 18
 
 
 @dataclass(frozen=True)
@@ -160,7 +162,8 @@ def _blocks_to_search(
         if not any(flaw.first < first + samples and flaw.stop > first for flaw in flaws):
             blocks.append((offset, samples))
     # The blocks of a steady tone have the same model.
-    for equal in [blocks] if interval.is_steady and blocks else [[block] for block in blocks]:
+    batch = max(_BATCH_READINGS // (len(channels) * blocks[0][1]), 1) if interval.is_steady and blocks else 1
+    for equal in (blocks[row : row + batch] for row in range(0, len(blocks), batch)):
         offset, samples = equal[0]
         size = max(int(1.0 / (interval.frequency(offset) * _GROUPS_PER_PERIOD)), 1)
         count = samples // size

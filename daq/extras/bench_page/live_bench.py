@@ -333,6 +333,8 @@ class TestController:
             return
         self.tests += 1
         self._test, self.target = None, None
+        if not self.is_aborted:
+            self.message = "response to the drive of NI clients"
         self._monitor.start_estimate(frf, None, lambda: band)
 
     def _on_mark(self, kind: str, first: int, stop: int, **fields: Any) -> None:
@@ -411,7 +413,7 @@ class LiveBench:
 
     @property
     def message(self) -> str:
-        """The message of the last test, which is also that after NI clients have driven the outputs."""
+        """The message of the last test, or on the response to NI clients that have driven the outputs."""
         return "NI clients drive the outputs" if self.is_driven_by_clients else self.controller.message
 
     @property

@@ -101,6 +101,7 @@ class Page:
             "scene": self._scene.name,
             "address": self._bench.address,
             "has_hammer": self._controller.has_hammer,
+            "is_linear": self._scene.is_linear,
             "animation": _ANIMATION_S,
             "slow": _ANIMATION_S / MOTION_S,
             "forms": {title: each.form.fields for title, each in self._controller.forms.items() if each.form},

@@ -276,7 +276,7 @@ def test_clients_see_a_frequency_response(bench):
         del bench.chassis.outputs["task"]
         bench._follow_clients(None, None)
     assert not bench.monitor.is_estimating
-    assert not bench.is_driven_by_clients
+    assert not bench.is_driven_by_clients and bench.message == "response to the drive of NI clients"
 
 
 @pytest.mark.parametrize("bench", ["sine"], indirect=True)

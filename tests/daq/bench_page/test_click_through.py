@@ -243,14 +243,64 @@ def test_texts_and_scales_suit_the_values(bench, browser):
     curves = "{frequency: Float32Array.of(0, 0.5, 1, 300, 400), rows: [{magnitude: Float32Array.of(1, 1, 1, 1, NaN)}]}"
     low, high = value(f"response.range.call({{curves: {curves}}})")
     assert (round(low, 2), high) == (0.95, 300)
-    clipped = "cause({name: 'a', unit: 'm/s^2', limit: 490.3325}, [3.624, READING])"
-    assert value(clipped.replace("READING", "490.3")) == "a: clipped at 50 g (3.62\u00a0s)"
-    assert value(clipped.replace("READING", "588.4")) == "a: 60 g, limit 50 g (3.62\u00a0s)"
+    clipped = "cause({unit: 'm/s^2', limit: 490.3325}, READING)"
+    assert value(clipped.replace("READING", "490.3")) == "clipped at 50 g"
+    assert value(clipped.replace("READING", "588.4")) == "60 g, limit 50 g"
+    # An undetermined value has no phase.
+    row = "{magnitude: [1e-4, 2e-4], phase: [-90, -80], relation: [0, 0], determined: [true, false], angular: [true, false]}"
+    assert value(f"[0, 1].map((k) => response.cell({row}, k))") == ["100 µm/N, -90°", "~200 µm/N, –"]
+    # A fault is final, a weak pulse may still rise.
+    assert value("[['clipped'], ['too weak'], []].map((faults) => isJudged([1, 9, faults, false, false]))") == [
+        True,
+        False,
+        False,
+    ]
     names = "[...document.querySelectorAll('#history-legend [data-name]')].map((entry) => entry.textContent)"
     assert value(names) == value("channels.map((channel) => channel.name)")
     panel = "{name: 'µm', range: [-2000, 2000], curves: [{y: Float32Array.of(1500)}]}"
     assert value(f"inMillimeters({panel}).name") == "mm"
     assert value(f"inMillimeters({panel}).curves[0].y[0]") == 1.5
+
+
+@pytest.mark.thorough
+def test_overloads_of_all_channels_fit_their_panel(bench, browser):
+    browser.get(bench[0])
+    wait_for(browser, lambda: element(browser, "state").text == "ready")
+    texts = browser.execute_script("""
+        socket.onclose = null;
+        const overloads = Object.fromEntries(channels.map(({limit}, k) => [k, [54.72 - k, limit]]));
+        levels.update({state: {levels: channels.map(() => 1), overloads, clipping: []}});
+        const panel = $('level-panel');
+        return [$('causes').textContent, panel.scrollHeight - panel.clientHeight];
+    """)
+    assert texts[0].startswith("base, arm: clipped at ") and "(53.7\u00a0s)" in texts[0].split("\n")[0]
+    assert texts[1] <= 0
+
+
+@pytest.mark.thorough
+def test_recording_of_clients_can_be_stopped(bench, browser):
+    browser.get(bench[0])
+    wait_for(browser, lambda: element(browser, "state").text == "ready")
+    state = "{settings: {kind: 'sine'}, running: false, is_driven_by_clients: true, recording: 'a.mcap', enabled: true}"
+    label = value_of(
+        browser, f"(controls.update({{state: {state}, span: 1}}), $('stop').disabled || $('stop').textContent)"
+    )
+    assert label == "Stop recording"
+
+
+@pytest.mark.thorough
+def test_damping_of_moving_dampers_is_approximate(bench, browser):
+    browser.get(bench[0])
+    wait_for(browser, lambda: element(browser, "state").text == "ready")
+    texts = value_of(
+        browser,
+        """[true, false].map((isLinear) => {
+            Object.assign(response, {isLinear, curves: null, head: {peaks: [[34.5, 2e-4, 0.0386, 0.0042, 'a', '']]}});
+            response.describe();
+            return $('peaks').rows[1].lastChild.textContent;
+        })""",
+    )
+    assert texts == ["3.86 ± 0.42", "~3.9"]
 
 
 @pytest.mark.thorough

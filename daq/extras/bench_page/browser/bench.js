@@ -18,7 +18,7 @@ function setText(name, content) {
 
 function fillTable(table, rows) {
   table.replaceChildren();
-  rows.forEach((cells, k) => { const row = make(table, "tr"); cells.forEach((cell) => make(row, k ? "td" : "th", cell.replace(/(^| )-(?=\d)/g, "$1−"))); });
+  rows.forEach((cells, k) => { const row = make(table, "tr"); cells.forEach((cell) => make(row, k ? "td" : "th", cell.replace(/(^| |~)-(?=\d)/g, "$1−")).classList.toggle("uncertain", cell.startsWith("~"))); });
 }
 
 function send(name, value = null) {
@@ -120,7 +120,7 @@ function receive(content) {
     histories = new Chart($("history"), { name: "time / s", log: false });
     spectra = new Chart($("spectrum"), { name: "frequency / Hz", log: true });
     for (const name of ["history-legend", "spectrum-legend"]) fillLegend($(name), channels);
-    response.start(channels);
+    response.start(channels, content.description.is_linear);
     levels.start(channels);
     for (const part of [controls, bar, rig]) part.start(content.description);
   } else if (content.theory !== undefined) {

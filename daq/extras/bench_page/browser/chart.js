@@ -3,6 +3,7 @@
 
 const AMBER = "#ffc53d"; // limits, and bounds instead of values
 const COLORS = { text: "#cfd6de", grid: "#323b46", minor: "#232a32", frame: "#4a5562" };
+const FEW = 6; // A curve with fewer points shows tones.
 const LEFT = 54, RIGHT = 8, TOP = 8, BOTTOM = 32, GAP = 13; // px
 
 class Chart {
@@ -64,7 +65,10 @@ class Chart {
     };
     context.textAlign = "right";
     context.textBaseline = "middle";
-    for (const [value, labeled] of panel.ticks ?? ticks(low, high, height, panel.log, 26)) {
+    // A low panel has a label at every second of its fixed ticks.
+    const every = panel.ticks && height / panel.ticks.length < 13 ? 2 : 1;
+    for (const [k, [value, isLabeled]] of (panel.ticks ?? ticks(low, high, height, panel.log, 26)).entries()) {
+      const labeled = isLabeled && !(panel.ticks && (panel.ticks.length - 1 - k) % every);
       line(context, LEFT, y(value), right, y(value), labeled ? COLORS.grid : COLORS.minor);
       if (labeled && y(value) > top - 1 && y(value) < top + height + 1) text(context, digits(value), LEFT - 5, y(value));
     }
@@ -91,8 +95,8 @@ class Chart {
     [context.lineWidth, context.globalAlpha] = [width, opacity];
     context.setLineDash(dash);
     context.beginPath();
-    // The points of a few tones are larger than those among lines.
-    const r = y.filter((value) => isFinite(value)).length < 6 ? 2.5 : 1;
+    // The points of a few tones are larger than those among lines, and filled.
+    const isFew = y.filter((value) => isFinite(value)).length < FEW, r = isFew ? 4 : 1;
     for (let k = 0; k < y.length; k++) {
       if (isGap(k)) continue;
       const px = this.position(x[k]), py = toPixel(y[k]);
@@ -102,7 +106,9 @@ class Chart {
       }
       if (isGap(k - 1)) context.moveTo(px, py);
       else context.lineTo(px, py);
-      if (dots && isGap(k - 1) && isGap(k + 1)) context.rect(px - r, py - r, 2 * r, 2 * r);
+      if (!dots || !isGap(k - 1) || !isGap(k + 1)) continue;
+      context.rect(px - r, py - r, 2 * r, 2 * r);
+      if (isFew) context.fillRect(px - r, py - r, 2 * r, 2 * r);
     }
     context.stroke();
     context.setLineDash([]);

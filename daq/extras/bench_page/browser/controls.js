@@ -30,7 +30,8 @@ const controls = {
       this.fields[name] = [title, field];
     }
     $("form").addEventListener("submit", (event) => event.preventDefault());
-    for (const name of ["start", "stop", "hit"]) $(name).addEventListener("click", () => this.request(name));
+    $("stop").addEventListener("click", () => (this.records ? send("record", false) : this.request("stop")));
+    for (const name of ["start", "hit"]) $(name).addEventListener("click", () => this.request(name));
     for (const name of ["clear", "overloads"]) $(name).addEventListener("click", () => send("clear"));
     $("record").addEventListener("change", () => send("record", $("record").checked));
     $("freeze").addEventListener("click", () => freeze());
@@ -67,8 +68,11 @@ const controls = {
       if (document.activeElement !== field) field.value = state.settings[name] ?? "";
     }
     $("start").disabled = $("hit").disabled = state.running || state.is_driven_by_clients;
-    $("stop").disabled = !state.running;
-    $("stop").classList.toggle("live", state.running);
+    // NI clients end their tasks themselves; the operator can end the recording.
+    this.records = !state.running && state.recording !== "";
+    setText("stop", this.records ? "Stop recording" : "Stop");
+    $("stop").disabled = !state.running && !this.records;
+    $("stop").classList.toggle("live", state.running || this.records);
     $("record").checked = state.enabled;
     for (const [k, button] of [...$("spans").children].entries()) button.classList.toggle("on", SPANS[k] === span);
   },

@@ -23,7 +23,7 @@ const levels = {
   },
 
   update({ state }) {
-    const now = performance.now(), causes = [];
+    const now = performance.now(), causes = new Map();
     this.rows.forEach((row, k) => {
       const { channel } = row, level = state.levels[k], overload = state.overloads[k];
       if (level >= row.held || now - row.since > HOLD_MS) [row.held, row.since] = [level, now];
@@ -35,10 +35,12 @@ const levels = {
       row.over = Boolean(overload);
       row.name.classList.toggle("over", row.over);
       if (!overload) return;
-      causes.push(cause(channel, overload));
+      const [time, reading] = overload, text = cause(channel, reading), [names, first] = causes.get(text) ?? [[], Infinity];
+      causes.set(text, [[...names, channel.name], Math.min(first, time)]);
     });
-    if (causes.length) causes.push("Lower the level or extend the range, then Clear.");
-    setText("causes", causes.join("\n"));
+    // One line for each cause, with the time of its first overload.
+    const lines = [...causes].map(([text, [names, time]]) => `${names.join(", ")}: ${text} (${digits(time, 3)}\u00a0s)`);
+    setText("causes", [...lines, ...(lines.length ? ["Lower the level or extend the range."] : [])].join("\n"));
   },
 };
 
@@ -48,10 +50,9 @@ function isOver(name) {
 }
 
 // A clipped reading equals the limit; the excess of the signal is unknown.
-function cause({ name, unit, limit }, [time, reading]) {
-  const at = `(${digits(time, 3)}\u00a0s)`;
-  if (limit == null) return `${name}: ${withUnit(reading, unit)}, limit of its sensor ${at}`;
-  return reading > 1.01 * limit ? `${name}: ${withUnit(reading, unit)}, limit ${withUnit(limit, unit)} ${at}` : `${name}: clipped at ${withUnit(limit, unit)} ${at}`;
+function cause({ unit, limit }, reading) {
+  if (limit == null) return `${withUnit(reading, unit)}, limit of its sensor`;
+  return reading > 1.01 * limit ? `${withUnit(reading, unit)}, limit ${withUnit(limit, unit)}` : `clipped at ${withUnit(limit, unit)}`;
 }
 
 function part(level, limit) {

@@ -6,8 +6,10 @@ const response = {
   previous: null,
   theory: null, // {frequency, rows: [[...]]}
 
-  start(channels) {
+  start(channels, isLinear) {
     this.channels = channels.filter((channel) => channel.responds);
+    this.isLinear = isLinear;
+    setText("damping-kind", isLinear ? "half-power damping, 95 %" : "half-power damping: approximate, as dampers move");
     this.chart = new Chart($("frf"), { name: "frequency / Hz", log: false });
     fillLegend($("legend"), this.channels);
     make($("legend"), "small").id = "thin";
@@ -56,7 +58,7 @@ const response = {
     const averages = this.head?.averages;
     const empty = state.hits.length ? (state.hits[0][4] ? "no accepted impact" : "after this impact") : state.running ? "after settling" : "start a test";
     this.details = state.details;
-    const [[number, , , , complete] = [0]] = state.hits, impacts = complete ? number : number - 1;
+    const [last] = state.hits, impacts = last ? last[0] - !isJudged(last) : 0;
     const count = impacts > 0 ? `${averages} of ${impacts} impact${impacts > 1 ? "s" : ""} averaged` : `H1, ${averages} average${averages > 1 ? "s" : ""}`;
     return (averages ? count + (averages > 1 ? "" : ": no γ²") : state.frf_reason || empty) + (this.problem ? `; ${this.problem}` : "");
   },
@@ -78,13 +80,13 @@ const response = {
     const showsLast = previous && $("last").checked;
     if (showsLast) for (const row of previous.rows) magnitude.push({ x: previous.frequency, y: micro(row.magnitude), color: row.color, width: 1, opacity: 0.45 });
     const isClipped = curves?.rows.some((row) => row.relation.some(Boolean));
-    setText("thin", [curves ? [curves.level == null ? "" : `${digits(curves.level, 3)} N`, `Δf ${digits(curves.frequency[1] - curves.frequency[0], 2)} Hz`, this.details].filter(Boolean).join(", ") : "", isClipped ? "dashed: clipped; arrow: side of the true value" : "", curves ? "thin: uncertain (γ² < 0.7, or phase scatters)" : "", showsLast ? `pale: last test${previous.level == null ? "" : `, ${digits(previous.level, 3)} N`}` : ""].filter(Boolean).join("; "));
+    setText("thin", [curves ? [curves.level == null ? clientForce(curves) : `${digits(curves.level, 3)} N`, `Δf ${digits(curves.frequency[1] - curves.frequency[0], 2)} Hz`, this.details].filter(Boolean).join(", ") : "", isClipped ? "dashed: clipped; arrow: side of the true value" : "", curves ? "thin: uncertain (γ² < 0.7, or phase scatters)" : "", showsLast ? `pale: last test${previous.level == null ? "" : `, ${digits(previous.level, 3)} N`}` : ""].filter(Boolean).join("; "));
     if (theory && $("theory").checked) {
-      theory.rows.forEach((row, k) => magnitude.push({ x: theory.frequency, y: micro(row), color: this.channels[k].color, dash: [7, 4], width: 1 }));
+      theory.rows.forEach((row, k) => magnitude.push({ x: theory.frequency, y: micro(row), color: this.channels[k].color, dash: [7, 4], width: 1, opacity: 0.6 }));
     }
     for (const row of curves?.rows ?? []) {
       const style = { x: curves.frequency, color: row.color, dots: true };
-      const certain = row.determined.map((each, k) => each && !row.relation[k]), angular = longRuns(certain, row.coherence), only = (y, isShown) => y.map((value, k) => (isShown(k) ? value : NaN));
+      const certain = row.determined.map((each, k) => each && !row.relation[k]), angular = (row.angular = longRuns(certain, row.coherence)), only = (y, isShown) => y.map((value, k) => (isShown(k) ? value : NaN));
       magnitude.push({ ...style, y: micro(row.magnitude), width: 0.9, opacity: 0.8, noisy: true });
       magnitude.push({ ...style, y: only(micro(row.magnitude), (k) => row.relation[k]), width: 1.6, dash: [5, 4] });
       magnitude.push({ ...style, y: only(micro(row.magnitude), (k) => certain[k]), width: 1.8 });
@@ -101,21 +103,22 @@ const response = {
     // The axis is logarithmic unless the band is narrow, as in figures and report.
     this.chart.x.log = range[1] >= 2 * range[0] && range[0] > 0;
     this.chart.show(range, [
-      { name: "|compliance| / (µm/N)", log: true, share: 3.2, curves: magnitude, range: [low, isClipped ? 2 * high : high] },
+      { name: "|compliance| / (µm/N)", log: true, share: 3.6, curves: magnitude, range: [low, isClipped ? 2 * high : high] },
       { name: "phase / °", range: [-345, 45], ticks: fixed([-270, -180, -90, 0]), curves: phase },
       // A single average has no coherence.
-      ...(curves?.rows.every((row) => row.coherence.every(isNaN)) ? [] : [{ name: "γ²", range: [0, 1.02], ticks: fixed([0, 0.5, 1]), share: 0.7, curves: coherence }]),
+      ...(curves?.rows.every((row) => row.coherence.every(isNaN)) ? [] : [{ name: "γ²", range: [0, 1.05], ticks: fixed([0, 0.5, 1]), share: 0.6, curves: coherence }]),
       ...(curves ? this.forcePanel(curves) : []),
     ]);
     this.describe();
   },
 
-  // The force at each line, and its level (dashed); empty for impacts, whose force is in the panel of the impact.
+  // The force at each line, and its level (dashed); empty for impacts, whose force is in the panel of the impact, and
+  // for a few tones, whose force is in the text above the chart.
   forcePanel({ frequency, force, level }) {
-    if (force.every(isNaN)) return [];
+    if (force.filter(isFinite).length < (level == null ? FEW : 1)) return [];
     const required = level == null ? [] : [{ x: [frequency[0], frequency[frequency.length - 1]], y: Float32Array.of(level, level), color: LAST, dash: [5, 4], width: 1 }];
     const largest = roundUp(Math.max(level ?? 0, ...force.filter(isFinite)));
-    return [{ name: level == null ? "rms / N" : "force / N", range: [0, largest], ticks: [[0, true], [largest / 2, false], [largest, true]], share: 0.7, curves: [...required, { x: frequency, y: force, color: "#ffffff" }] }];
+    return [{ name: level == null ? "rms / N" : "force / N", range: [0, largest], ticks: [[0, true], [largest / 2, false], [largest, true]], share: 0.6, curves: [...required, { x: frequency, y: force, color: "#ffffff" }] }];
   },
 
   nearest(frequency) {
@@ -123,20 +126,26 @@ const response = {
     return this.curves.frequency.reduce((best, f, k) => (this.curves.rows.some((row) => isFinite(row.magnitude[k])) && Math.abs(f - frequency) < Math.abs(best - frequency) ? f : best), Infinity);
   },
 
-  // Return whether the curve is thin at a peak.
-  isUncertain([frequency, , , , name]) {
-    const row = this.curves?.rows.find((each) => each.name === name);
-    return row !== undefined && !row.determined[this.curves.frequency.indexOf(Math.fround(frequency))];
+  // Return whether a peak is uncertain: the curve is thin there, or the test passes it too fast for a lower limit.
+  isUncertain([frequency, , damping, , name]) {
+    const row = this.curves?.rows.find((each) => each.name === name), k = this.curves?.frequency.indexOf(Math.fround(frequency));
+    return row !== undefined && (!row.determined[k] || (damping == null && row.coherence?.[k] < COHERENT_PHASE));
+  },
+
+  // The value and the phase of a curve at a line; uncertain values have the sign ~, and no phase if none is drawn.
+  cell({ magnitude, phase, relation, determined: certain, angular }, k) {
+    const sign = RELATIONS[relation[k]] || (certain[k] || !isFinite(magnitude[k]) ? "" : "~");
+    return `${sign}${withUnit(magnitude[k], "m/N")}, ${angular[k] ? `${digits(phase[k], 3)}°` : "–"}`;
   },
 
   // The values at the cursors, and the peak list.
   describe() {
     const { curves } = this, cursors = this.chart.cursors.map((f) => [f, curves?.frequency.indexOf(f) ?? -1]);
     const rows = cursors.flatMap(([f, k], number) => (k < 0 ? [] : [["AB"[number], `${digits(f, 5)} Hz`,
-      ...curves.rows.map((row) => `${withUnit(row.magnitude[k], "m/N")}, ${digits(row.phase[k], 3)}°`)]]));
+      ...curves.rows.map((row) => this.cell(row, k))]]));
     if (rows.length > 1) {
       const [[f, i], [g, k]] = cursors;
-      rows.push(["B − A", `${digits(g - f, 4)} Hz`, ...curves.rows.map((row) => `${digits(20 * Math.log10(row.magnitude[k] / row.magnitude[i]), 3)} dB`)]);
+      rows.push(["B − A", `${digits(g - f, 4)} Hz`, ...curves.rows.map((row) => `${row.determined[i] && row.determined[k] ? "" : "~"}${digits(20 * Math.log10(row.magnitude[k] / row.magnitude[i]), 3)} dB`)]);
     }
     fillTable($("cursors"), rows.length ? [["cursor", "frequency", ...curves.rows.map((row) => row.name)], ...rows] : [[curves ? CURSOR_HINT : ""]]);
     const peaks = this.head?.peaks ?? [];
@@ -144,12 +153,12 @@ const response = {
     const uncertain = peaks.map((peak) => this.isUncertain(peak));
     fillTable($("peaks"), [["peak", "f / Hz", "µm/N", "ζ / %"], ...peaks.map(([f, value, damping, expanded, name, relation], k) => [
       name, digits(f, 5), relation === "?" ? "clipped" : `${relation || (uncertain[k] ? "~" : damping == null ? "≥ " : "")}${digits(1e6 * value, 3)}`,
-      damping == null || uncertain[k] ? "–" : withInterval(100 * damping, 100 * expanded)])]);
+      damping == null || uncertain[k] ? "–" : this.isLinear ? withInterval(100 * damping, 100 * expanded) : `~${digits(100 * damping, 2)}`])]);
     peaks.forEach(([, , damping, , , relation], k) => {
       const row = $("peaks").rows[k + 1];
       row.classList.toggle("bound", relation !== "");
       row.classList.toggle("uncertain", uncertain[k]);
-      row.title = uncertain[k] ? "Uncertain: the curve is thin here (γ² < 0.7, or the phase scatters). Sweep slower, or average more." : "";
+      row.title = uncertain[k] ? "Uncertain: γ² < 0.7, γ² < 0.9 without damping, or the phase scatters. Sweep slower, or average more." : "";
       if (damping == null && !uncertain[k]) row.lastChild.title = relation ? "No damping: the peak is clipped." : "Lower limit, no damping: the half-power width has fewer than 3 lines, one side of the peak is not measured, or its coherence is below 0.7.";
     });
   },
@@ -158,6 +167,8 @@ const response = {
 // A touch screen has no shift key. A browser without a pointing device, which draws pictures, is no touch screen.
 const IS_TOUCH = matchMedia("(pointer: coarse)").matches;
 const CURSOR_HINT = IS_TOUCH ? "The last two taps are cursors A and B." : "Click: cursor A. Shift and click: cursor B. Double-click: none.";
+// Signs of the relation of the true value to a clipped one.
+const RELATIONS = ["", "≥", "≤", "? "];
 // Color of the last test: its curves lie behind those of the present test.
 const LAST = "#8994a0";
 // Below this coherence, or where the phase scatters, the magnitude is a thin line and the phase is omitted.
@@ -168,6 +179,11 @@ const AROUND = 40; // lines on either side
 const DECADES = 2.5;
 // Among other lines, the phase is shown in runs of at least RUN lines with this mean coherence: other runs are noise.
 const COHERENT_PHASE = 0.9, RUN = 12;
+
+// The force of the lines that NI clients excite: the largest rms.
+function clientForce({ force }) {
+  return force.some(isFinite) ? `NI clients, ${digits(Math.max(...force.filter(isFinite)), 3)} N rms` : "";
+}
 
 // Remove runs of fewer than RUN lines or with a low coherence, unless there are no other runs, as with a few tones.
 function longRuns(values, coherence) {

@@ -21,10 +21,10 @@ const bar = {
     setText("lag", state.lag < 0.04 ? "" : `${Math.round(1000 * state.lag)} ms late`);
     const overloads = Object.keys(state.overloads).length;
     $("overloads").hidden = !overloads;
-    setText("overloads", `${overloads} overload${overloads > 1 ? "s" : ""}: Clear`);
+    setText("overloads", `Clear ${overloads} overload${overloads > 1 ? "s" : ""}`);
     $("lag").classList.toggle("bad", state.lag >= 0.25);
     this.showRecording(state);
-    setText("outputs", state.outputs.join("\n") || "none");
+    setText("outputs", state.outputs.join("\n") || "no outputs");
     setText("clients", state.clients.join("\n") || "no task of an NI client");
     setText("problem", state.problem);
     $("pulse").hidden = !arrays.pulse;
@@ -52,21 +52,27 @@ const bar = {
     this.shownHits = shown;
     $("hit-list").replaceChildren();
     const names = (rows) => rows.map((row) => channels[row].name).join(", "), excluded = [];
-    for (const [number, peak, faults, accepted, complete, overloaded] of hits) {
+    for (const hit of hits) {
+      const [number, peak, faults, accepted, complete, overloaded] = hit;
       const isClipped = overloaded.some((row) => channels[row].at === "hammer");
       const verdict = faults.map((fault) => (fault === "clipped" ? `${overloaded.length > 2 ? `${overloaded.length} channels` : names(overloaded)} clipped` : fault)).join(", ");
-      if (complete && !accepted) excluded.push(`Impact ${number} is not averaged${verdict ? `: ${verdict}` : ""}.`);
+      if (isJudged(hit) && !accepted) excluded.push(`Impact ${number} is not averaged${verdict ? `: ${verdict}` : ""}.`);
       const row = make($("hit-list"), "tr"), box = make(make(row, "td"), "input");
       Object.assign(box, { type: "checkbox", checked: accepted, disabled: !complete, title: "Use this impact for the response" });
       box.addEventListener("change", () => send("accept", [number, box.checked]));
       make(row, "td", `${number}`);
       make(row, "td", `${isClipped ? "≥ " : ""}${digits(peak, 3)} N`).className = isClipped ? "bound" : "";
-      make(row, "td", complete ? (accepted ? "✓" : "✗") : "").className = accepted ? "" : "excluded";
+      make(row, "td", isJudged(hit) ? (accepted ? "✓" : "✗") : "").className = accepted ? "" : "excluded";
       make(row, "td", verdict || (complete ? "good" : "measuring")).className = verdict ? "bound" : "";
     }
     setText("excluded", excluded.length && hits[0][5].length ? `${excluded[0]} Hit softer, or extend the range.` : excluded[0] ?? "");
   },
 };
+
+// Whether an impact is accepted or rejected: a weak pulse may still rise, other faults are final.
+function isJudged([, , faults, , complete]) {
+  return complete || faults.some((fault) => fault !== "too weak");
+}
 
 // The level of the test, and the measured level as soon as it is known.
 function levelText({ target, level_kind: kind, force }) {

@@ -92,23 +92,33 @@ def write_reference() -> None:
     indexed: set[int] = set()
     for package in ("rig", "daq", "analysis"):
         module = import_module(package)
-        lines = [f"# {package}: Python names", "", "```{eval-rst}", f".. currentmodule:: {package}", ""]
+        lines = [f"# {package}: Python names", ""]
+        groups: dict[str, list[str]] = {"Functions": [], "Classes": [], "Errors": []}
         for name in sorted(module.__all__, key=str.lower):
-            purpose = (getattr(module, name).__doc__ or "").strip().split("\n")[0]
-            lines.append(f"- :obj:`{package}.{name}`: {purpose}")
-        lines.append("")
-        for name in module.__all__:
             member = getattr(module, name)
-            kind = "class" if isinstance(member, type) else "function"
-            lines.append(f".. auto{kind}:: {name}")
-            # Common members of all results, settings and errors are not repeated at each of them.
-            if kind == "class":
-                lines += ["   :members:", "   :inherited-members: Result, Settings, BaseModel, Exception"]
-            # A name that two packages export has one entry in the index.
-            lines += ["   :no-index:"] if id(member) in indexed else []
-            indexed.add(id(member))
+            is_class = isinstance(member, type)
+            group = "Errors" if is_class and issubclass(member, Exception) else "Classes" if is_class else "Functions"
+            groups[group].append(name)
+        for group, names in groups.items():
+            if not names:
+                continue
+            lines += [f"## {group}", "", "```{eval-rst}", f".. currentmodule:: {package}", ""]
+            for name in names:
+                purpose = (getattr(module, name).__doc__ or "").strip().split("\n")[0]
+                lines.append(f"- :obj:`{package}.{name}`: {purpose}")
             lines.append("")
-        (reference / f"{package}.md").write_text("\n".join([*lines, "```", ""]), encoding="utf-8")
+            for name in names:
+                member = getattr(module, name)
+                lines.append(f".. auto{'function' if group == 'Functions' else 'class'}:: {name}")
+                # Common members of all results, settings and errors are not repeated at each of them.
+                if group != "Functions":
+                    lines += ["   :members:", "   :inherited-members: Result, Settings, BaseModel, Exception"]
+                # A name that two packages export has one entry in the index.
+                lines += ["   :no-index:"] if id(member) in indexed else []
+                indexed.add(id(member))
+                lines.append("")
+            lines += ["```", ""]
+        (reference / f"{package}.md").write_text("\n".join(lines), encoding="utf-8")
         (reference / f"{package}-commands.md").write_text(commands(package), encoding="utf-8")
     (reference / "scenes.md").write_text(reference_page().replace("^2", "²").replace("^3", "³"), encoding="utf-8")
 

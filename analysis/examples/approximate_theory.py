@@ -29,7 +29,7 @@ body = int(np.argmax(abs(theory.mode.shape)))
 axes = plt.subplots(layout="constrained")[1]
 theory.draw(axes)
 axes.plot(frequencies, 1e6 * abs(exact.compliance[body]), "k.", label="exact orbits")
-axes.set(xscale="linear")
+axes.set(xscale="linear", title=f"one damper, {scene.test.levels[0]:g} N")
 axes.legend()
 highest = 1e6 * float(np.nanmax(abs(exact.compliance[body])))
 print(f"highest exact compliance of body {body + 1} in the band: {highest:.0f} µm/N")

@@ -25,15 +25,15 @@ for decay, color in zip(decays, colors, strict=True):
     decay.plot(axes, color=color)
 
 # %%
-# Damping ratio of each mode over its own amplitude. Without dampers it is constant. With them it is larger while the
+# Damping ratio of each mode over its own amplitude, with bands of 95 %. Without dampers it is constant. With them it is larger while the
 # acceleration, the sum of all modes, exceeds 1 g.
 # sphinx_gallery_thumbnail_number = 2
 panels = plt.subplots(3, 1, sharex=True, sharey=True, layout="constrained")[1]
 for decay, color in zip(decays, colors, strict=True):
     for number, mode in enumerate(sorted(decay.modes, key=lambda mode: mode.frequency)):
         axes = panels[number]
-        axes.semilogx(mode.amplitude, 100.0 * mode.damping, "o-", color=color, label=decay.label)
-        axes.set(ylabel="ζ / %", ylim=(0.0, 5.0))
+        mode.draw(axes, color=color, label=decay.label)
+        axes.set(xlabel="", ylabel="ζ / %", ylim=(0.0, 8.0))
         axes.text(0.98, 0.75, f"mode {number + 1}", ha="right", transform=axes.transAxes)
 panels[-1].set(xlabel="amplitude / (m/s²)")
 panels[0].legend(loc="upper left")

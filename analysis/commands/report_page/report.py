@@ -160,10 +160,12 @@ def _body(measurements: Measurements, paths: Sequence[Path], note: str) -> tuple
         '<div class="first"><div>',
         '<section class="answer">',
         *(_summary_html(_without_name(text, name)) for text in summary),
-        *(f'<p class="limitation">{typeset(_without_name(text, name))}</p>' for text in limitations(results)),
         "</section>",
         f'<p class="test">{escape_html(note)}</p>' if note else "",
-        f'</div><figure class="rig">{rig_drawing(drawn.rec.scene)}{caption}</figure></div>',
+        f'</div><div><figure class="rig">{rig_drawing(drawn.rec.scene)}{caption}</figure>',
+        # Beside the answer, so that the first chart is on the first screen.
+        *(f'<p class="limitation">{typeset(_without_name(text, name))}</p>' for text in limitations(results)),
+        "</div></div>",
         f"<nav><ul>{links}</ul></nav>",
     ]
     for title, parts in filled.items():
@@ -229,7 +231,7 @@ def _modes(results: Sequence[Measurement], baseline: Measurement) -> list[str]:
             if baseline_shapes is not None:
                 bodies = bodies.with_signs_of(baseline_shapes)
             drawings = [
-                mode_drawing(bodies, bodies.places, k, f"{modes.frequency_text(k)}, ζ = {sweep.damping_text(k)}")
+                mode_drawing(bodies, bodies.places, k, f"{modes.frequency_text(k)},\nζ = {sweep.damping_text(k)}")
                 for k in range(modes.frequency.size)
             ]
             sections += [f"<h3>{escape_html(modes.label)}</h3>", f'<div class="shapes">{"".join(drawings)}</div>']

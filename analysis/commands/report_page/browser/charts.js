@@ -147,8 +147,10 @@
     for (const { ends, color } of panel.strips) {
       const [low, high] = ends.map((x) => inside(plot.valToPos(x, "x", true)));
       context.fillStyle = shade(color);
+      context.globalAlpha = isDark() ? 0.45 : 1; // On a dark page, curves are the brightest.
       context.fillRect(low, top + height - 5 * (owners.indexOf(color) + 1) * ratio, high - low, 5 * ratio);
     }
+    context.globalAlpha = 1;
     if (panel.title) {
       context.font = `600 ${12 * ratio}px system-ui, sans-serif`;
       context.fillStyle = theme("page");

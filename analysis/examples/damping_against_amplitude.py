@@ -25,8 +25,8 @@ for decay, color in zip(decays, colors, strict=True):
     decay.plot(axes, color=color)
 
 # %%
-# Damping ratio of each mode over its own amplitude, with bands of 95 %. Without dampers it is constant. With them it is larger while the
-# acceleration, the sum of all modes, exceeds 1 g.
+# Damping ratio of each mode over its own amplitude, with bands of 95 %. Without dampers it is constant. With them it is
+# larger while the acceleration, the sum of all modes, exceeds 1 g.
 # sphinx_gallery_thumbnail_number = 2
 panels = plt.subplots(3, 1, sharex=True, sharey=True, layout="constrained")[1]
 for decay, color in zip(decays, colors, strict=True):

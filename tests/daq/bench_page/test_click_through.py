@@ -247,7 +247,7 @@ def test_texts_and_scales_suit_the_values(bench, browser):
     assert value(clipped.replace("READING", "490.3")) == "clipped at 50 g"
     assert value(clipped.replace("READING", "588.4")) == "60 g, limit 50 g"
     # An undetermined value has no phase.
-    row = "{magnitude: [1e-4, 2e-4], phase: [-90, -80], relation: [0, 0], determined: [true, false], angular: [true, false]}"
+    row = "{magnitude: [1e-4, 2e-4], phase: [-90, -80], relation: [0, 0], determined: [1, 0], angular: [1, 0]}"
     assert value(f"[0, 1].map((k) => response.cell({row}, k))") == ["100 µm/N, -90°", "~200 µm/N, –"]
     # A fault is final, a weak pulse may still rise.
     assert value("[['clipped'], ['too weak'], []].map((faults) => isJudged([1, 9, faults, false, false]))") == [

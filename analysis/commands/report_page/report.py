@@ -162,10 +162,9 @@ def _body(measurements: Measurements, paths: Sequence[Path], note: str) -> tuple
         *(_summary_html(_without_name(text, name)) for text in summary),
         "</section>",
         f'<p class="test">{escape_html(note)}</p>' if note else "",
-        f'</div><div><figure class="rig">{rig_drawing(drawn.rec.scene)}{caption}</figure>',
-        # Beside the answer, so that the first chart is on the first screen.
+        f'</div><figure class="rig">{rig_drawing(drawn.rec.scene)}{caption}</figure></div>',
+        # In the full width they have few lines, so that the first chart is on the first screen.
         *(f'<p class="limitation">{typeset(_without_name(text, name))}</p>' for text in limitations(results)),
-        "</div></div>",
         f"<nav><ul>{links}</ul></nav>",
     ]
     for title, parts in filled.items():

@@ -306,7 +306,8 @@ def _energy_decay(acceleration: Array) -> Array:
 
 def _energy_after_end(acceleration: Array) -> float:
     """Extrapolate the energy after the end of the record exponentially from its last two tenths, in (m/s²)²."""
-    # Energy that does not fall is noise if the last tenth contains a small fraction of it; otherwise nothing decays.
+    # If the energy does not fall between the last two tenths and the last tenth contains a small fraction of it, the
+    # last tenth is noise. If it contains more, the motion is no free decay: its energy after the end is infinite.
     tenth = max(1, acceleration.size // 10)
     previous_energy = float(np.sum(acceleration[-2 * tenth : -tenth] ** 2))
     last_energy = float(np.sum(acceleration[-tenth:] ** 2))

@@ -27,7 +27,7 @@ class ChartPole:
     order: int  # order of the denominator: number of poles of its model
     frequency: float  # Hz
     damping: float  # damping ratio
-    stable: bool  # whether the previous order has nearly the same pole (see `_is_same_pole`)
+    stable: bool  # whether the previous order has nearly the same pole (see `_are_same_poles`)
 
     @property
     def pole(self) -> complex:

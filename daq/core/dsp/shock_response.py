@@ -104,7 +104,7 @@ def _compensated(pieces: Iterator[Array]) -> Iterator[Array]:
 
 
 def _reflected(values: Array, count: int) -> Array:
-    """Return values with `count` reflected samples before them, so the slope has no step at their start."""
+    """Return values preceded by `count` samples reflected through the first value, so the slope is continuous."""
     return np.concatenate([2.0 * values[0] - values[count:0:-1], values])
 
 

@@ -163,7 +163,7 @@ def _new_temporary(file: Path) -> Path:
 
 @contextmanager
 def temporary_folder() -> Iterator[Path]:
-    """Create a folder for temporary files, which is removed afterwards, as are those of killed processes."""
+    """Create a folder for temporary files and remove it at the end; remove leftovers of killed processes first."""
     from tempfile import TemporaryDirectory, gettempdir
 
     with TemporaryDirectory(prefix=_remove_leftovers(Path(gettempdir()), "shotrig")) as folder:

@@ -184,7 +184,7 @@ class StoredValues(Generic[Piece, Value]):
             temporary.write_text(csv_text([self.study.columns, *rows]), encoding="utf-8", newline="")
 
     def _append(self, *rows: Sequence[object]) -> None:
-        """Add rows to the table; another process may have removed its file."""
+        """Append rows to the file of the table, with the heading if another process has removed the file."""
         # One call writes all rows: after an interruption they are complete or missing, unless the disk is full.
         if self._path is not None:
             with self._path.open("a", newline="", encoding="utf-8") as file:

@@ -20,7 +20,7 @@ KINDS = ("accelerometer", "hammer", "converter", "output", "shaker")
 
 @dataclass(frozen=True)
 class DataSheet:
-    """Data sheet of a sensor, shaker or module, whose values are those of the preset."""
+    """Data sheet of a sensor, shaker or module; `preset: NAME` in a scene takes its values."""
 
     name: str
     """Maker and model."""

@@ -1,6 +1,6 @@
 """General solvers of scipy and SUNDIALS, as alternatives to the engine in `rig cost`.
 
-Contact events are events: the solver locates the root of a guard, a function that is negative after the change.
+A change of contact is an event of the solver: the root of a guard, a function that is negative after the change.
 `penalty` needs no events, because it replaces the walls with stiff springs.
 """
 
@@ -24,8 +24,8 @@ GUARD_PAUSE_S = 2e-5
 AT_LIMIT = 1e-9
 #: Events at which velocities jump.
 IMPACTS = (FLOOR_IMPACT, CEILING_IMPACT)
-#: A solver is stopped after this number of events in a period: a damper leaves its wall and lands endlessly
-#: (chattering).
+#: A solver is stopped after this number of events in a period: a damper leaves its wall and lands again without
+#: end (chattering).
 MAX_EVENTS_PER_PERIOD = 400
 #: Relative tolerance for motion on penalty springs; the springs themselves cause larger errors.
 PENALTY_TOLERANCE = 1e-8

@@ -393,7 +393,7 @@ def _changed(values: Array, part: int) -> _Step:
 
 
 def _largest_step(values: Array, limits: Array, is_steady: bool) -> _Step | None:
-    """Return the step that explains most of the scatter of gains or delays; None if small (`limits`) or scatter."""
+    """Return the step that explains most of the scatter of gains or delays; None if below `limits` or scatter."""
     size = values.size
     min_side = _MIN_SIDE if size >= _MIN_PARTS else 1
 

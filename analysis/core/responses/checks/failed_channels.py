@@ -24,7 +24,7 @@ _MIN_PERIODS = 4.0
 _MIN_FAILED = 2
 # Maximum number of blocks before the failure with which the failed blocks are compared.
 _COMPARED = 8
-# Minimum number of blocks, or of impacts, in a test that is checked: parts of fewer cannot be compared.
+# Minimum number of blocks, or of impacts, in a test that is checked: with fewer, its parts cannot be compared.
 _MIN_BLOCKS = 4
 # A signal has failed if it is below this fraction of the previous signal: only noise and crosstalk remain.
 _FAILED_RATIO = 0.01

@@ -124,7 +124,7 @@ class LocalSpectra:
         )
         reference_limits = []
         if reference_noise_power.any():
-            # Noise of the reference is its uncertainty, as a change of the value; at zero, all may be noise.
+            # Noise of the reference is its uncertainty, as a change of the value: infinite where the response is zero.
             squared = abs(main_fit.value) ** 2
             noise_ratio = np.full(squared.shape, np.inf)
             np.divide(2.0 * noise_variance, squared, out=noise_ratio, where=squared > 0.0)

@@ -30,8 +30,8 @@ _NOISE_OBSERVATIONS = 24
 _MIN_SCATTER_RATIO = 0.75
 # Number of observations for which memory is allocated at once.
 _NEW_ROWS = 3 * _NOISE_OBSERVATIONS
-# If the scatter is below this multiple of the tolerance, half of `_NOISE_OBSERVATIONS` is sufficient, because the
-# measurement averages such small beats.
+# Half of `_NOISE_OBSERVATIONS` is sufficient to accept scatter as noise if it is below this multiple of the tolerance:
+# if such scatter is a small beat, the measurement averages it.
 _SCATTER_FOR_HALF = 3.0
 # Number of observations that must agree within the tolerance.
 _N_AGREEING = 6

@@ -72,7 +72,8 @@ class RingBuffer:
     def read(self, first: int, count: int) -> NDArray[Any]:
         """Return a copy of samples, (channels, count); `IndexError` for overwritten or unwritten samples."""
         if first < self.oldest or first + count > self.written:
-            raise IndexError(f"samples {first} to {first + count - 1}: there are {self.oldest} to {self.written - 1}")
+            stored = f"the buffer contains samples {self.oldest} to {self.written - 1}"
+            raise IndexError(f"samples {first} to {first + count - 1} are not stored; {stored}")
         start = first % self.size
         n_to_end = min(count, self.size - start)
         return np.concatenate([self._data[:, start : start + n_to_end], self._data[:, : count - n_to_end]], axis=1)

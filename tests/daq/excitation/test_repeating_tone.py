@@ -42,6 +42,12 @@ def test_slow_beat_does_not_repeat() -> None:
     assert of_motion(alternating(0.01) + beat, noise=1e-4) == 0
 
 
+@pytest.mark.parametrize("phase", np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False))
+def test_slow_beat_of_any_phase_is_irregular(phase: float) -> None:
+    # In some phases, the difference of successive periods decreases as that of a transient.
+    assert of_motion(0.01 * np.sin(2.0 * np.pi * TIME / 60.0 + phase)) == 0
+
+
 def test_transient_within_tolerance_repeats() -> None:
     assert of_motion(0.9 * TOLERANCE * np.exp(-TIME / 20.0)) == 1
 

@@ -29,6 +29,9 @@ _MIN_MULTIPLE_RATIO = 0.25
 # If the difference of successive periods in the second half of a measurement is below this fraction of that in the
 # whole, it is a transient. With constant drive it was 0.94 to 1.15 for doubled and tripled periods of eleven scenes.
 _MAX_DECAY = 0.9
+# Smallest growth of the differences of a slow beat beyond those of the first periods. Those of decaying modes grow by
+# up to 1.15, if their distance to the tone is above 1/8 of its frequency.
+_MIN_BEAT_GROWTH = 1.5
 # Ratio of the largest difference of two periods to the tolerance, which each of them may deviate from steady state.
 _TWO_DEVIATIONS = 2.0**0.5
 # Orders of the tone's frequency at which periods are compared. Hann windows of two periods at these orders cover the
@@ -156,8 +159,10 @@ def repetition(
     largest = float(np.linalg.norm([tolerance, noise, _MAX_REPEATED_PERIODS * feedback]))
     first = differences[:_MAX_REPEATED_PERIODS]
     if decay < _MAX_DECAY:
-        # Other modes decay. They do not change the amplitude at the frequency of the tone.
-        return int(min(first) <= largest)
+        # Other modes decay. They do not change the amplitude at the frequency of the tone. Their differences are about
+        # equal in near and distant periods; those of a slow beat grow.
+        is_beat = not feedback and max(differences) > max(_TWO_DEVIATIONS * largest, _MIN_BEAT_GROWTH * max(first))
+        return int(min(first) <= largest and not is_beat)
     limit = min(_TWO_DEVIATIONS * largest, max(_MIN_MULTIPLE_RATIO * tolerance, _MIN_DIFFERENCE_RATIO * min(first)))
     lag = next((lag for lag, difference in enumerate(first, 1) if difference <= limit), 0)
     # A slow beat becomes apparent in distant periods. Feedback suppresses it.

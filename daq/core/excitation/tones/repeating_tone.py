@@ -89,7 +89,9 @@ class RepeatingTone(SteadyTone):
         every, latest = (
             irregularity(part, self.frequency, self.rate) for part in (samples, samples[samples.size // 2 :])
         )
-        return repetition(every, latest[0] / max(every[0], 1e-300), self._settle.tolerance, noise, feedback)
+        # A measurement of a few periods does not show whether their differences decrease.
+        decay = latest[0] / max(every[0], 1e-300) if any(latest) else 1.0
+        return repetition(every, decay, self._settle.tolerance, noise, feedback)
 
     def add_repetition(self, level: float, repetition: int) -> None:
         """Add a motion to those of the next warning."""
@@ -161,8 +163,8 @@ def repetition(
     if decay < _MAX_DECAY:
         # Other modes decay. They do not change the amplitude at the frequency of the tone. Their differences are about
         # equal in near and distant periods; those of a slow beat grow.
-        is_beat = not feedback and max(differences) > max(_TWO_DEVIATIONS * largest, _MIN_BEAT_GROWTH * max(first))
-        return int(min(first) <= largest and not is_beat)
+        beat_limit = max(_TWO_DEVIATIONS * largest, _MIN_BEAT_GROWTH * max(first))
+        return int(min(first) <= largest and (feedback > 0.0 or max(differences) <= beat_limit))
     limit = min(_TWO_DEVIATIONS * largest, max(_MIN_MULTIPLE_RATIO * tolerance, _MIN_DIFFERENCE_RATIO * min(first)))
     lag = next((lag for lag, difference in enumerate(first, 1) if difference <= limit), 0)
     # A slow beat becomes apparent in distant periods. Feedback suppresses it.

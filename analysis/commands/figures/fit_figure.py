@@ -26,6 +26,9 @@ def fit_figure(result: Fit) -> Figure:
     rows = result.compared[:MAX_ROWS]
     bands = [(float(compared.curves.frequency.min()), float(compared.curves.frequency.max())) for compared in rows]
     crosses = "" if all(compared.is_fitted.all() for compared in rows) else " Crosses: points omitted from the fit."
+    relative = "Responses relative to the table: their peaks are not at natural frequencies. " * any(
+        compared.curves.reference == "table" for compared in rows
+    )
     orbits = "" if all(each.curves.is_linear for each in rows) else ", with moving dampers at the same frequencies only"
     with new_figure(_ROW_HEIGHT_IN * len(rows) + 1.0, 10.0) as figure:
         axes = figure.subplots(len(rows), 2, squeeze=False)
@@ -34,10 +37,14 @@ def fit_figure(result: Fit) -> Figure:
             # Rows of the same band share the frequency labels below the last row.
             labeled = compared is rows[-1] or any(band != other for other in bands)
             for ax in (curve_axes, residual_axes):
+                for mode in result.modes:
+                    if band[0] <= mode.frequency <= band[1]:
+                        ax.axvline(mode.frequency, color="#777777", lw=0.8, ls=":", zorder=1)
                 frequency_axis(ax, *band, labeled)
         add_legend_below(
             figure,
             f"Points: measured. Lines: the fitted scene{orbits}.{crosses} "
+            f"{relative}Dotted: natural frequencies of the fitted structure. "
             "Gray: U, the expanded uncertainty (95 %) of a point.",
         )
     return figure
@@ -60,7 +67,8 @@ def _draw(curve_axes: Axes, residual_axes: Axes, compared: Comparison, scene: Sc
         curve_axes.plot(drawn, factor * model[k], "-", lw=0.8, color=style.color)
     log_axis(curve_axes, [factor * abs(curves.value), factor * model])
     curve_axes.set_ylabel(f"|x / {curves.reference}| / ({unit})")
-    test, details = curves.scene.test, [curves.label]
+    # The recording is named by its scene.
+    test, details = curves.scene.test, [curves.scene.name, *curves.label.split(", ", 1)[1:]]
     if test is not None:
         # With several levels, the label names the level.
         details += [test.title, test.level_text(curves.scene.driven_shaker) if len(test.levels) == 1 else ""]

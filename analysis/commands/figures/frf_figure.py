@@ -5,6 +5,7 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from analysis.commands.figures.determined_lines import (
     MAX_ERROR_RATIO,
@@ -21,6 +22,7 @@ from analysis.commands.figures.peak_marks import (
     PEAK_SYMBOLS,
     DrawnResponse,
     PeakMark,
+    above_line,
     draw_marks,
     drawn_response,
     label_peaks,
@@ -92,6 +94,7 @@ def frf_figure(
         heights = []
         for row, (measured, curve_style, marked) in enumerate(zip(frfs, styles, marked_peaks, strict=True)):
             _draw_curve(measured, curve_style, row, top, marked, magnitude_axes, phase_axes, coherence_axes)
+            marked[:] = above_line(marked, measured.shown_in[1], curve_style.color, magnitude_axes)
             heights += draw_marks(marked, measured.shown_in[1], curve_style.color, magnitude_axes)
         for frequency, text in marks:
             magnitude_axes.axvline(frequency, color="#777777", lw=0.8, ls=":")
@@ -137,15 +140,17 @@ def frf_figure(
                 text, (0.5, 0.5), xycoords="axes fraction", ha="center", va="center", fontsize=8, color="#555555"
             )
         figure.align_ylabels([magnitude_axes, phase_axes, coherence_axes])
-        symbols = {mark.symbol for marked in marked_peaks for mark in marked}
         rings = ["Rings: highest points."] * has_rings
-        add_legend_below(figure, *remarks, *_caption(frfs, symbols), *rings)
+        add_legend_below(
+            figure, *remarks, *_caption(frfs, [mark for mark, _ in labels], bool(magnitude_axes.containers)), *rings
+        )
         return figure
 
 
-def _caption(frfs: Sequence[Response], symbols: set[str]) -> list[str]:
-    """Explain bands and markers in sentences."""
+def _caption(frfs: Sequence[Response], marks: Sequence[PeakMark], has_bars: bool) -> list[str]:
+    """Explain bands and markers in sentences; `has_bars`: whether points have error bars."""
     sentences = []
+    symbols = {mark.symbol for mark in marks}
     causes = visible_systematic_errors(frfs)
     if is_scattered := any(_is_visible(frf, frf.expanded_random()) for frf in frfs):
         sentences.append("Dark band: scatter (type A, 95 %).")
@@ -154,6 +159,8 @@ def _caption(frfs: Sequence[Response], symbols: set[str]) -> list[str]:
     if causes:
         band = "Light band: also limits" if is_scattered else "Band: limits"
         sentences.append(f"{band} of error (type B): {', '.join(causes)}.")
+    if has_bars:
+        sentences.append("Bars: both, at points without a curve and at peaks that may be higher.")
     if not all(is_determined(frf).all() for frf in frfs):
         text = undetermined_text(frfs)
         sentences.append(f"Pale, with a strip at the axis: undetermined ({text}); phase not shown.")
@@ -163,8 +170,12 @@ def _caption(frfs: Sequence[Response], symbols: set[str]) -> list[str]:
         sentences.append("Crosses: steady state not reached.")
     if any(frf.frequency.size <= MAX_MARKED and not folds_back(frf.frequency) for frf in frfs):
         sentences.append("Thin curve: local model through the points, where they determine it.")
+    if any(MAX_MARKED < frf.frequency.size <= MAX_POINTS and not folds_back(frf.frequency) for frf in frfs):
+        sentences.append("Markers: at some of the points.")
     sentences += [text for symbol, text in PEAK_SYMBOLS.items() if symbol in symbols]
-    sentences += ["Labels: peak frequencies."] * bool(symbols - {"undetermined"})
+    sentences += ["Labels: frequencies of the peaks, not of the modes."] * bool(symbols - {"undetermined"})
+    if not all(mark.is_steady for mark in marks):
+        sentences.append("In parentheses: steady state not reached.")
     if any(frf.omitted.size for frf in frfs):
         sentences.append("Gaps with a mark at the axis: omitted frequencies.")
     return sentences
@@ -218,6 +229,16 @@ def _draw_curve(
             drawn, center * np.maximum(1.0 - ratio, _ZERO_RATIO),
             center * np.minimum(1.0 + ratio, 1.0 / _ZERO_RATIO), color=color, alpha=opacity, lw=0,
         )  # fmt: skip
+    # The highest point of a peak that may be higher has a bar, too: next to it, the band is narrower than the line.
+    has_bar = _isolated(curve) | np.isin(frf.frequency, [mark.frequency for mark in marks if mark.symbol == "arrows"])
+    has_bar &= is_known & (total > _MIN_VISIBLE_RATIO * magnitude)
+    if has_bar.any():
+        upper = total[has_bar]
+        lower = np.minimum(upper, (1.0 - _ZERO_RATIO) * magnitude[has_bar])
+        magnitude_axes.errorbar(
+            frf.frequency[has_bar], magnitude[has_bar], [lower, upper],
+            ls="", ecolor=color, elinewidth=0.9, capsize=2.0, zorder=2.7,
+        )  # fmt: skip
     for frequencies in _omitted_ranges(frf):
         magnitude_axes.plot(
             frequencies, [0.0, 0.0], "x-", color=color, ms=5, clip_on=False,
@@ -255,6 +276,13 @@ def _draw_curve(
         coherence_axes.plot(
             frf.frequency, np.where(is_known, frf.coherence, np.nan), color=color, ls=style.line, zorder=3
         )
+
+
+def _isolated(curve: DrawnResponse) -> NDArray[np.bool_]:
+    """Return whether each line of a response is no part of its drawn curve, so that it has no band."""
+    is_joined = np.pad(np.isfinite(curve.magnitude), (1, 2))
+    place = np.searchsorted(curve.magnitude_frequency, curve.lines.frequency)
+    return curve.is_known & ~(is_joined[place] | is_joined[place + 2])
 
 
 def _omitted_ranges(frf: Response) -> list[tuple[float, float]]:

@@ -17,6 +17,7 @@ from analysis.commands.figures.determined_lines import (
 from analysis.core.damper_motion.comparison import Peak, local_model
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.figure_types import Axes
+from rig.core.base.palette import faded
 from rig.core.results.resonances import Resonance
 from rig.core.results.response import MOTIONS, Response
 
@@ -48,6 +49,7 @@ _MARKERS = {"circles": "o", "diamonds": "D"}
 # Height of the label of a peak, and its distance from a label beside it [points].
 _LABEL_POINTS = 9.0
 _LABEL_SHIFT = 22.0
+_UNSTEADY_COLOR = "#888888"
 
 
 class PeakMark(NamedTuple):
@@ -57,6 +59,7 @@ class PeakMark(NamedTuple):
     frequency: float  # Hz
     height: float  # in the SI unit of the curve
     peak: Peak
+    is_steady: bool = True  # whether the highest point is in steady state
 
 
 def peak_marks(frf: Response, resonances: Iterable[tuple[Resonance, Peak]]) -> list[PeakMark]:
@@ -76,8 +79,9 @@ def peak_marks(frf: Response, resonances: Iterable[tuple[Resonance, Peak]]) -> l
         if not is_known[line]:
             marks.append(PeakMark("undetermined", line_frequency, point, peak))
             continue
+        is_steady = frf.unsteady is None or not frf.unsteady[line]
         if not peak.is_determined:
-            marks.append(PeakMark("arrows", line_frequency, point, peak))
+            marks.append(PeakMark("arrows", line_frequency, point, peak, is_steady))
             continue
         height = peak.value * (2.0 * np.pi * peak.frequency) ** MOTIONS.index(frf.motion)
         is_near = abs(np.searchsorted(ordered, peak.frequency) - np.searchsorted(ordered, line_frequency)) <= 1
@@ -91,7 +95,7 @@ def peak_marks(frf: Response, resonances: Iterable[tuple[Resonance, Peak]]) -> l
         if is_near and height > (1.0 + _MIN_PEAK_EXCESS) * point:
             marks.append(PeakMark("diamonds" if peak.is_extrapolated else "circles", peak.frequency, height, peak))
         else:
-            marks.append(PeakMark("points", line_frequency, point, peak))
+            marks.append(PeakMark("points", line_frequency, point, peak, is_steady))
     return marks
 
 
@@ -107,10 +111,23 @@ def without_hidden_arrows(marked: Sequence[Sequence[PeakMark]]) -> list[list[Pea
     return [[mark for mark in of_curve if mark.symbol != "arrows" or is_highest(mark)] for of_curve in marked]
 
 
+def above_line(marks: Iterable[PeakMark], factor: float, color: str, axes: Axes) -> list[PeakMark]:
+    """Raise the arrows of a curve above its drawn line; `factor`: from the unit of the curve to that of the axis."""
+    lines = [line for line in axes.get_lines() if line.get_color() in (color, faded(color))]
+    drawn = [np.asarray(line.get_xydata()).T for line in lines if line.get_transform() == axes.transData]
+    frequency, height = np.concatenate([np.empty((2, 0)), *drawn], axis=1)
+
+    def raised(mark: PeakMark) -> PeakMark:
+        is_near = abs(frequency / mark.frequency - 1.0) < 0.5 * _ARROW_RANGE
+        return mark._replace(height=float(np.nanmax(height[is_near] / factor, initial=mark.height)))
+
+    return [raised(mark) if mark.symbol == "arrows" else mark for mark in marks]
+
+
 def draw_marks(marks: Iterable[PeakMark], factor: float, color: str, axes: Axes) -> list[tuple[float, float]]:
     """Draw the marks of a curve; return their heights in the unit of the axis, with the space above them."""
     heights = []
-    for symbol, frequency, height, _ in marks:
+    for symbol, frequency, height, *_ in marks:
         heights.append((factor * height, _ARROW_SPACE if symbol == "arrows" else _LABEL_SPACE))
         if symbol in _MARKERS:
             style: dict[str, Any] = {"mfc": "white", "mec": color, "mew": 1.0, "ms": 4.5, "zorder": 5}
@@ -170,8 +187,9 @@ def label_peaks(marks: Sequence[tuple[PeakMark, str]], frf: Response, axes: Axes
         elif not sides:
             # The label of the highest peak is beside a curve that is above it.
             style |= {"ha": "right", "xytext": (-3.0, offset[1])}
+        text = peak_label(mark) if mark.is_steady else f"({peak_label(mark)})"
         axes.annotate(
-            peak_label(mark), point, fontsize=7.5, color=color, zorder=5,
+            text, point, fontsize=7.5, color=color if mark.is_steady else _UNSTEADY_COLOR, zorder=5,
             path_effects=[withStroke(linewidth=2.0, foreground="white")], **style,
         )  # fmt: skip
         if mark.symbol == "points":

@@ -174,11 +174,11 @@ def change_table(changes: Sequence[PeakChange], shown_in: tuple[str, float]) -> 
         if change.damped.at_end:
             rows.append((*cells, "none", *[""] * 5))
             continue
-        is_bounded = not isinf(change.baseline.expanded + change.damped.expanded)
+        is_determined = change.baseline.is_determined and change.damped.is_determined
         rows.append((
-            *cells, after, *_format_change(change.decibel, change.decibel_decimals),
+            *cells, after, *_format_change(change.decibel, change.decibel_decimals, is_determined),
             *_format_change(change.shift, change.shift_decimals),
-            f"{100 * change.equivalent_damping:.2g}" * is_bounded,
+            f"{100 * change.equivalent_damping:.2g}" * is_determined,
         ))  # fmt: skip
     heading = (
         "response", "mode / Hz", f"before / ({shown_in[0]})", f"after / ({shown_in[0]})", "change / dB",
@@ -201,8 +201,11 @@ def describe_changes(changes: Sequence[PeakChange], shown_in: tuple[str, float])
     return [*change_table(changes, shown_in).lines(), *remarks]
 
 
-def _format_change(value: tuple[float, float, float], digits: int) -> tuple[str, str]:
-    """Format a change, dB or Hz, and its interval; if one limit is infinite, only the other limit is given."""
+def _format_change(value: tuple[float, float, float], digits: int, is_determined: bool = True) -> tuple[str, str]:
+    """Format a change, dB or Hz, and its interval; if one limit is infinite, only the other limit is given.
+
+    `is_determined`: whether both peaks are; otherwise only the interval is given.
+    """
     estimate, low, high = (f"{number:+.{digits}f}" for number in value)
     if isinf(value[1]) and isinf(value[2]):
         return "unknown", ""
@@ -210,7 +213,7 @@ def _format_change(value: tuple[float, float, float], digits: int) -> tuple[str,
         return "", f"below {high}"
     if isinf(value[2]):
         return "", f"above {low}"
-    return estimate, f"{low} to {high}"
+    return estimate * is_determined, f"{low} to {high}"
 
 
 def present_compare(

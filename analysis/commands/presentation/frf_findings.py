@@ -82,6 +82,7 @@ def present_frf(
     check_outputs(paths, table)
     tolerance_remarks: list[str] = []
     moving: dict[str, bool] = {}
+    scenes: set[str] = set()
     excitations: dict[str, str] = {}
     acquisitions: set[str] = set()
     validity: dict[str, list[str]] = {}
@@ -90,11 +91,13 @@ def present_frf(
             file_curves = read_curves(path, reference, response, unit)
             curves += [replace(frf.to(motion), label=label) for frf in file_curves]
             moving[label], excitations[label] = True, ""
+            scenes.add(label)
             warnings += with_recording_name(path, file_curves[0].warnings)
             continue
         rec = recordings.of(path)
         options = vars(blocks.for_kind(rec.test.kind))
         groups = frequency_responses(rec, response, reference, motion, progress=progress, **options)
+        scenes.add(rec.scene.name)
         curves += [relabel(frf, rec.scene.name, label) for group in groups for frf in group]
         moving[label], excitations[label] = not rec.scene.is_linear, excitation_text(rec)
         if texts := validity_texts(rec):
@@ -110,7 +113,8 @@ def present_frf(
         text[0].upper() + text[1:] if len(named) == len(paths) else f"{', '.join(named)}: {text}"
         for text, named in validity.items()
     ]
-    files = _draw_figures(curves, theory_curves, stem, baseline_label(moving), excitations, acquisitions, remarks)
+    baseline = baseline_label(moving)
+    files = _draw_figures(curves, theory_curves, stem, baseline, excitations, acquisitions, remarks, scenes)
     files.append(frf_table(table, curves))
     lines = (*describe_frfs(curves), *dict.fromkeys(tolerance_remarks), *missing_tolerances(curves))
     return CommandOutput(tuple(files), lines, tuple(warnings))
@@ -213,11 +217,13 @@ def _draw_figures(
     excitations: Mapping[str, str],
     acquisitions: Collection[str] = (),
     remarks: Sequence[str] = (),
+    scenes: Collection[str] = (),
 ) -> list[Path]:
     """Draw one figure for a single sweep, or one figure for each FRF of several sweeps; return the files.
 
     `baseline`: label of the recording with which all others are compared; `excitations`: test and level by recording;
-    `acquisitions`: averages, lines and sample rates of all recordings; `remarks`: sentences for the captions.
+    `acquisitions`: averages, lines and sample rates of all recordings; `remarks`: sentences for the captions;
+    `scenes`: names of the scenes.
     """
     from analysis.commands.figures.frf_figure import frf_figure
     from rig.core.base.figure_style import save_figure
@@ -245,13 +251,27 @@ def _draw_figures(
         )
     inputs = {labeled[0].input for labeled in groups}
     files = []
+    subjects = list(excitations) if len(excitations) == 1 else list(scenes)
+    subject = f": {subjects[0]}" if len(subjects) == 1 else ""
+    kinds, levels = zip(*(text.rpartition(", ")[::2] for text in excitations.values()), strict=True)
+    # Recordings of one scene that differ only in their level are named by it.
+    has_levels = len(scenes) == 1 < len(levels) == len(set(levels)) and len(set(kinds)) == 1 and all(kinds)
+    if has_levels:
+        test = f" ({kinds[0]}{acquisition})"
     for labeled in groups:
         first = labeled[0]
         same_frf = [frf for frf in theory if (frf.response, frf.input) == (first.response, first.input)]
         name = first.response if len(inputs) == 1 else first.ratio.replace(" / ", "-by-").replace(" ", "-")
-        title = f"{quantity}, {first.ratio}{f': {next(iter(excitations))}' if len(excitations) == 1 else ''}{test}"
+        title = f"{quantity}, {first.ratio}{subject}{test}"
         styles = recording_styles([belongs_to(curve.label, baseline) for curve in labeled])
         named = [_with_test(curve, {} if test else excitations) for curve in labeled]
+        if has_levels:
+            named = [
+                relabel(curve, label, level)
+                for curve in labeled
+                for label, level in zip(excitations, levels, strict=True)
+                if belongs_to(curve.label, label)
+            ]
         if len(excitations) == 1:
             # The title names the recording.
             named = [relabel(curve, next(iter(excitations)), "") for curve in named]

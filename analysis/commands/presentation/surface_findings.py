@@ -32,7 +32,10 @@ def present_surface(
             bars = "Bars: 95 % intervals of the force, which include the uncertainty of the amplitude"
             common = common_error_text(result.force, result.force_own, result.force_expanded)
             add_legend_below(
-                figure, f"{bars} times the slope of the curve.", common.replace("points", "points of a level")
+                figure,
+                f"{bars} times the slope of the curve. Lines join the points.",
+                common.replace("points", "points of a level"),
+                "Gray bars: with them, at the first point of a level." * bool(common),
             )
 
     title = "Response at constant force" if forces else "Force at constant amplitude"

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.commands.figures.frf_figure import unstated_tolerances
-from analysis.commands.figures.peak_marks import PeakMark, peak_marks
+from analysis.commands.figures.peak_marks import MODE_SHIFT, PeakMark, peak_marks
 from analysis.commands.presentation.comparison import MeasurementPoints
 from analysis.commands.presentation.outputs import with_recording_name, with_sweep_name
 from analysis.core.damper_motion.comparison import (
@@ -26,7 +26,7 @@ from analysis.core.damper_motion.dampers import Dampers, dampers_in
 from analysis.core.decays.free_decay import Decay, decay
 from analysis.core.modal.identification import identify
 from analysis.core.modal.mode_warnings import extrapolates_damping
-from analysis.core.modal.modes import Modes
+from analysis.core.modal.modes import Modes, mac
 from analysis.core.recordings.names import OpenRecordings, baseline_label, relabel, scene_labels, sweep_name
 from analysis.core.responses.errors.systematic import clock_deviation, tolerance
 from analysis.core.responses.frequency_responses import frequency_responses
@@ -37,6 +37,7 @@ from analysis.core.tracking.backbone import Backbone, backbone
 from analysis.core.tracking.continuation import AmplitudeCurve, continuation
 from daq.core.recording.recorded_test import FOLLOWED_CURVE, HELD_PHASE, ControlledTones, shocks_of
 from daq.core.recording.recording import Recording
+from rig.core.base.arrays import Array
 from rig.core.base.errors import ShotrigError
 from rig.core.base.progress import CountProgress
 from rig.core.results.resonances import Resonance
@@ -96,6 +97,7 @@ class SweepChange(NamedTuple):
     change: PeakChange
     modes: tuple[float, ...] = ()  # natural frequencies of all modes of the baseline [Hz]
     shown_in: tuple[str, float] = ("µm/N", 1e6)  # unit of the peaks, and the factor from SI to this unit
+    mac: float = 1.0  # modal assurance criterion between the mode and that of the compared sweep; 1 if unknown
 
     @property
     def level(self) -> str:
@@ -312,7 +314,36 @@ def _peak_changes(baseline: Measurement, other: Measurement) -> list[SweepChange
     points.comparable_with(baseline_points)
     same_sensors, modes = points.same_sensors(baseline_points), tuple(before.modes.frequency.tolist())
     return [
-        SweepChange(before.label, after.label, other.label, change, modes, before.frfs[0].shown_in)
+        SweepChange(
+            before.label,
+            after.label,
+            other.label,
+            change,
+            modes,
+            before.frfs[0].shown_in,
+            _mac_of_mode(before.modes, after.modes, change.mode),
+        )
         for after in other.sweeps
         for change in peak_changes(before.modes, before.frfs, after.frfs, same_sensors)
     ]
+
+
+def common_mac(before: Modes, after: Modes) -> Array | None:
+    """Return the modal assurance criterion at the common responses of two sweeps; None for fewer than two."""
+    common = [name for name in before.responses if name in after.responses]
+    shapes = [modes.shapes[[modes.responses.index(name) for name in common]] for modes in (before, after)]
+    return mac(*shapes) if len(common) > 1 else None
+
+
+def same_mode(modes: Modes, frequency: float) -> int | None:
+    """Return the index of the mode that is nearest to a frequency [Hz]; None if no mode is similar."""
+    deviation = abs(modes.frequency / frequency - 1.0)
+    return int(np.argmin(deviation)) if np.min(deviation, initial=np.inf) < MODE_SHIFT else None
+
+
+def _mac_of_mode(before: Modes, after: Modes | None, frequency: float) -> float:
+    """Return the MAC between a mode of the baseline and the mode of similar frequency of a sweep; 1 if unknown."""
+    if after is None or (values := common_mac(before, after)) is None:
+        return 1.0
+    first, second = same_mode(before, frequency), same_mode(after, frequency)
+    return 1.0 if first is None or second is None else float(values[first, second])

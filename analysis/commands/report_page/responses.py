@@ -497,10 +497,12 @@ def decay_charts(measurements: Sequence[Measurement], baseline_name: str) -> lis
         step = max(result.time.size // _INTERVALS, 1)
         energies.append(Curve(label, result.time[::step], result.energy[::step], style=style))
     channels = ", ".join(dict.fromkeys(result.channel for _, result in labeled_decays))
+    ends = np.array([0.0, max(result.time[-1] for _, result in labeled_decays)])
+    envelopes.append(Curve("1 g", ends, np.full(2, labeled_decays[0][1].gravity), style=_REQUIRED))
     charts = [
         Chart(
             f"Free decay of {channels}: peaks of the acceleration, and backward-integrated (Schroeder) energy",
-            f"Free decay of {channels} over {max(result.time[-1] for _, result in labeled_decays):.3g} s.",
+            f"Free decay of {channels} over {ends[-1]:.3g} s.",
             [
                 Panel("acceleration peaks", "m/s²", envelopes, height=220, logarithmic=True),
                 Panel("energy", "dB", energies, height=160),

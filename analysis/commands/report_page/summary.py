@@ -8,6 +8,7 @@ from operator import le
 import numpy as np
 
 from analysis.commands.presentation.damper_findings import detection_limits
+from analysis.commands.presentation.mode_findings import MIN_SAME_SHAPE_MAC
 from analysis.commands.report_page.levels import level_headline, level_points
 from analysis.commands.report_page.measurements import (
     Measurement,
@@ -147,7 +148,8 @@ def _change_text(changes: Sequence[SweepChange]) -> str:
 def _change_line(described: SweepChange) -> str:
     """Describe the change of one peak, with its heights if both are known."""
     change, (unit, factor) = described.change, described.shown_in
-    text = f"{format_decimals(change.mode, 2)} Hz ({change.response}): {change_text(change)}"
+    differs = f"; mode shapes differ, MAC {described.mac:.2f}" * (described.mac < MIN_SAME_SHAPE_MAC)
+    text = f"{format_decimals(change.mode, 2)} Hz ({change.response}{differs}): {change_text(change)}"
     text += ", not significant" * (change.significance == "no")
     return f"{text}, {' → '.join(change.height_texts(factor))} {unit}"
 
@@ -230,10 +232,10 @@ def _decay_texts(measurements: Sequence[Measurement]) -> list[str]:
         return []
     channels = ", ".join(dict.fromkeys(result.channel for result in decays.values()))
     names = f": {' → '.join(f'“{label}”' for label in decays)}" if len(decays) > 1 else ""
-    lines = [f"Free decay of {channels} after the impact{names}"]
+    lines = [f"Free decay of {channels} after one impact{names}"]
     for name, times in (
-        ("below 1 g after", [result.quiet_from for result in decays.values()]),
-        ("6 dB lower after", [result.halving for result in decays.values()]),
+        ("last acceleration above 1 g after about", [result.quiet_from for result in decays.values()]),
+        ("energy 6 dB lower (slope from -1 to -11 dB) after about", [result.halving for result in decays.values()]),
     ):
-        lines.append(f"{name}: {' → '.join('–' if np.isnan(time) else f'{time:.3g} s' for time in times)}")
+        lines.append(f"{name}: {' → '.join('–' if np.isnan(time) else f'{time:.2g} s' for time in times)}")
     return ["\n".join(lines)]

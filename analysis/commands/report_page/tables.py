@@ -14,9 +14,15 @@ from analysis.commands.figures.peak_marks import MODE_SHIFT
 from analysis.commands.presentation.comparison import change_table
 from analysis.commands.presentation.mode_findings import MIN_SAME_SHAPE_MAC
 from analysis.commands.presentation.shock_findings import pulse_table
-from analysis.commands.report_page.measurements import Measurement, SweepChange, missing_tolerances
+from analysis.commands.report_page.measurements import (
+    Measurement,
+    SweepChange,
+    common_mac,
+    missing_tolerances,
+    same_mode,
+)
 from analysis.core.damper_motion.comparison import Peak, PeakChange
-from analysis.core.modal.modes import Modes, mac
+from analysis.core.modal.modes import Modes
 from analysis.core.responses.errors.systematic import tolerance
 from rig.core.base.escaping import escape_html
 from rig.core.results import format_decimals, format_number, format_percent
@@ -96,14 +102,20 @@ def change_text(change: PeakChange) -> str:
 
 def mac_table(before: Modes, after: Modes) -> str:
     """Return the modal assurance criterion between the shapes of two sweeps, or within one sweep, as HTML."""
-    common = [name for name in before.responses if name in after.responses]
-    if len(common) < 2 or (before is after and before.frequency.size < 2):
+    mac_matrix = common_mac(before, after)
+    if mac_matrix is None or (before is after and before.frequency.size < 2):
         return ""
-    shapes = [modes.shapes[[modes.responses.index(name) for name in common]] for modes in (before, after)]
     rows = [
         (f"{frequency:.2f} Hz", *(f"{value:.3f}" for value in row))
-        for frequency, row in zip(before.frequency, mac(*shapes), strict=True)
+        for frequency, row in zip(before.frequency, mac_matrix, strict=True)
     ]
+    if before is not after:
+        # Shapes of one mode in two sweeps.
+        for (name, *cells), frequency, k in zip(rows, before.frequency, range(len(rows)), strict=True):
+            column = same_mode(after, frequency)
+            if column is not None and mac_matrix[k, column] < MIN_SAME_SHAPE_MAC:
+                cells[column] += ", differ"
+                rows[k] = (name, *cells)
     heading = ["", *(f"{frequency:.2f} Hz" for frequency in after.frequency)]
     pair = before.label if before is after else f"{before.label} (rows) and {after.label} (columns)"
     caption = f"Modal assurance criterion (MAC; equal shapes above about {MIN_SAME_SHAPE_MAC:g}): {pair}"
@@ -141,7 +153,9 @@ def budget(curve: Response, highest: Peak) -> str:
     if curve.expanded()[point] > abs(curve.value[point]):
         point = curve.peak_line()
     result = curve.budget(curve.response, float(curve.frequency[point]))
-    return result.table().html(f"Uncertainty budget of {curve.label}, {result.heading}")
+    unit, factor = curve.shown_in
+    stated = f". Of a measured point; the stated peak is {highest.height_text(factor, unit)}" * highest.is_extrapolated
+    return result.table().html(f"Uncertainty budget of {curve.label}, {result.heading}{stated}")
 
 
 def test_sentence(scene: Scene) -> str:

@@ -414,11 +414,11 @@ class PeakChange:
     def height_texts(self, factor: float) -> tuple[str, ...]:
         """Write the heights times a factor, without and with dampers, with the digits of the larger uncertainty."""
         peaks = self.baseline, self.damped
-        bounds = [peak.expanded for peak in peaks if isfinite(peak.expanded)]
+        bounds = [peak.expanded for peak in peaks if peak.is_determined]
         bound = factor * max([*bounds, _HEIGHT_RESOLUTION * max(peak.value for peak in peaks)])
         return tuple(
             f"≥ {round_to_bound(factor * peak.low, bound)}"
-            if isinf(peak.expanded)
+            if not peak.is_determined
             else f"{round_to_bound(factor * peak.value, bound)}{' (extrapolated)' * peak.is_extrapolated}"
             for peak in peaks
         )

@@ -8,6 +8,7 @@ are smoother than the force.
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from math import floor, log10
 from typing import Any
 
 import numpy as np
@@ -33,6 +34,8 @@ _LEVEL_STEP = 0.02
 _GRID = 1000
 # A larger ratio of forces has a logarithmic axis.
 _MAX_LINEAR_RATIO = 10.0
+# Bars with the errors that all points of a level share.
+_COMMON_COLOR = "#d0d0d0"
 
 
 @dataclass(frozen=True, repr=False)
@@ -162,11 +165,20 @@ class ForceSurface(Result):
     def draw(self, ax: Axes, **style: Any) -> None:
         """Draw the force against frequency; points near one amplitude are one curve."""
         levels = _levels(self.amplitude)
-        for chosen, (color, _, marker) in zip(levels, recording_styles([False] * len(levels)), strict=True):
+        medians = [1e3 * float(np.median(self.amplitude[chosen])) for chosen in levels]
+        # Levels have two digits, unless they differ by less.
+        digits = 2 if len({f"{each:.2g}" for each in medians}) == len(levels) else 4
+        styles = recording_styles([False] * len(levels))
+        for chosen, median, (color, _, marker) in zip(levels, medians, styles, strict=True):
             along = chosen[np.argsort(self.frequency[chosen])]
-            label = f"{1e3 * float(np.median(self.amplitude[along])):.3g} mm"
+            label = f"{median:.{max(digits - 1 - floor(log10(median)), 0)}f} mm"
             bars = complete_style(style, label=label, color=color, marker=marker, ms=3, lw=0.8, capsize=2)
             ax.errorbar(self.frequency[along], self.force[along], self.force_own[along], **bars)
+            first = along[0]
+            if self.force_own[first] < self.force_expanded[first]:
+                # One bar shows the errors that all points of a level share.
+                at, force, half = self.frequency[first], self.force[first], self.force_expanded[first]
+                ax.vlines(at, max(force - half, 0.0), force + half, colors=_COMMON_COLOR, lw=5.0, zorder=1)
         ax.set(xlabel="frequency / Hz", ylabel="force / N")
         if self.force.max() > _MAX_LINEAR_RATIO * self.force.min() > 0.0:
             # Imported at the first figure, because matplotlib takes long.

@@ -21,6 +21,7 @@ from analysis.commands.figures.decay_figure import decay_figure
 from analysis.commands.figures.determined_lines import determined_band, is_determined, is_smooth
 from analysis.commands.figures.frf_figure import frf_figure
 from analysis.commands.figures.modes_figure import modes_figure
+from analysis.commands.figures.peak_marks import PeakMark, above_line
 from analysis.commands.presentation.decay_findings import present_decay
 from analysis.commands.presentation.fit_findings import present_fit
 from analysis.commands.presentation.frf_findings import _draw_figures, describe_frfs, present_frf
@@ -84,7 +85,8 @@ def test_overlaid_scenes_are_named_by_file(folder, tmp_path):
     for body in (3, 1):
         svg_text = (tmp_path / f"one+again-frf-body{body}.svg").read_text(encoding="utf-8")
         assert svg_text.count(">one<") == svg_text.count(">again<") == 1
-        assert "first scene" not in svg_text
+        # The title names the common scene.
+        assert svg_text.count("first scene") == 1
     assert {row["scene"] for row in read_rows(result.files[-1])} == {"one", "again"}
     headings = [line for line in result.lines if not line.startswith((" ", "intervals"))]
     assert [line.split(",")[0] for line in headings] == ["one", "again"]
@@ -298,6 +300,48 @@ def test_reference_is_gray_in_any_order(folder):
     axes = frf_figure(curves, "Compliance", styles=styles).axes[0]
     colors = {line.get_label(): line.get_color() for line in axes.lines}
     assert colors["without"] == BASELINE != colors["with"]
+
+
+def test_recordings_of_one_scene_are_named_by_level(tmp_path):
+    f = np.linspace(10.0, 20.0, 11)
+    curves = [Response.curve(f, np.ones(11, dtype=complex), "body1", label=name) for name in ("one", "two")]
+    tests = {"one": "stepped sine, 1 N", "two": "stepped sine, 2 N"}
+    _draw_figures(curves, [], tmp_path / "both", "", tests, scenes={"a scene"})
+    text = (tmp_path / "both.svg").read_text("utf-8")
+    assert ">2 N<" in text and ": a scene" in text and "two" not in text
+
+
+def uncertain_jump(**settings):
+    """Return tones of a sweep up with a fold next to the highest tone, 22 Hz, with an expanded uncertainty of 20 %."""
+    f = np.arange(20.0, 24.1, 0.25)
+    before = [11.92, 12.95, 14.25, 15.66, 17.59, 19.77, 22.32, 25.16, 27.9]
+    value = np.array([*before, 2.979, 2.859, 2.752, 2.658, 2.573, 2.498, 2.431, 2.371], dtype=complex)
+    curve = Response.curve(f, value, "tray", error=0.1 * abs(value), degrees_of_freedom=100.0 * np.ones(f.size))
+    return replace(curve, **settings)
+
+
+def test_peak_that_may_be_higher_has_a_bar():
+    axes = frf_figure([uncertain_jump()], "Compliance").axes[0]
+    [bars] = axes.containers
+    centers = [segment.mean(axis=0) for segment in bars.lines[2][0].get_segments()]
+    factor = uncertain_jump().shown_in[1]
+    assert (22.0, pytest.approx(27.9 * factor)) in [tuple(center) for center in centers]
+
+
+@pytest.mark.parametrize(("is_steady", "text"), [(True, "22.0 Hz"), (False, "(22.0 Hz)")])
+def test_label_reports_missing_steady_state(is_steady, text):
+    curve = uncertain_jump()
+    curve = replace(curve, unsteady=(curve.frequency == 22.0) & (not is_steady))
+    axes = frf_figure([curve], "Compliance").axes[0]
+    [label] = [each for each in axes.texts if "Hz" in each.get_text()]
+    assert label.get_text() == text
+
+
+def test_arrow_begins_above_the_line_around_it():
+    axes = Figure().subplots()
+    axes.plot([9.95, 10.0, 10.05], [3.0, 2.0, 1.0], color="#0072B2")
+    marks = [PeakMark(symbol, 10.0, 2e-6, None) for symbol in ("arrows", "points")]
+    assert [mark.height for mark in above_line(marks, 1e6, "#0072B2", axes)] == [pytest.approx(3e-6), 2e-6]
 
 
 def test_peak_between_tones_has_a_marker():

@@ -19,7 +19,7 @@ import daq
 import rig
 from analysis.commands.figures.peak_marks import PEAK_SYMBOLS, PeakMark, peak_marks
 from analysis.commands.presentation import frf_findings
-from analysis.commands.presentation.comparison import describe_changes
+from analysis.commands.presentation.comparison import change_table, describe_changes
 from analysis.commands.presentation.damper_findings import describe_motions
 from analysis.commands.presentation.frf_findings import describe_frfs
 from analysis.commands.presentation.mode_findings import describe_modes
@@ -32,7 +32,7 @@ from analysis.commands.report_page.measurements import Measurement, Measurements
 from analysis.commands.report_page.report import page_title, write_report
 from analysis.commands.report_page.responses import force_charts, response_chart, response_charts, stabilization_charts
 from analysis.commands.report_page.summary import limitations, summarize
-from analysis.commands.report_page.tables import changes_table, motions, resonances
+from analysis.commands.report_page.tables import changes_table, mac_table, motions, resonances
 from analysis.commands.report_page.tables import test_sentence as sentence_of
 from analysis.core.damper_motion.comparison import Peak, PeakChange, local_model, resonance_peak, resonance_peaks
 from analysis.core.damper_motion.motion_types import DamperMotion, motion_table
@@ -741,6 +741,23 @@ def test_damping_between_lines_is_called_extrapolated() -> None:
 def test_heights_before_and_after_have_equal_digits() -> None:
     peaks = Peak(1451.553e-6, 0.93e-6, 34.8, 34.7, 34.9), Peak(331.8e-6, 10e-6, 34.5, 34.4, 34.6)
     assert PeakChange("body1", 34.78, 0.01, *peaks).height_texts(1e6) == ("1452", "332")
+
+
+def test_undetermined_peak_is_a_lower_bound() -> None:
+    uncertain = Peak(521e-6, 854e-6, 12.4, 10.4, 13.9, lower_limit=448e-6)
+    change = PeakChange("body1", 13.04, 0.01, Peak(2136e-6, 66e-6, 13.04, 13.0, 13.1), uncertain)
+    assert change.height_texts(1e6) == ("2136", "≥ 448")
+    [row] = change_table([change], ("µm/N", 1e6)).rows
+    assert row[4] == row[-1] == "" and row[5].startswith("-13.")
+
+
+def test_different_shapes_are_marked() -> None:
+    before, after = (
+        SimpleNamespace(label=name, responses=["body1", "body2"], frequency=np.array([10.0, 20.0]), shapes=shapes)
+        for name, shapes in (("a", np.eye(2)), ("b", np.array([[1.0, 0.5], [0.0, 1.0]])))
+    )
+    table = mac_table(before, after)  # type: ignore[arg-type]
+    assert table.count("differ") == 1 and "0.800, differ" in table
 
 
 def test_page_has_no_folder(page: Path, recordings: list[Path]) -> None:

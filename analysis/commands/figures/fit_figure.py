@@ -26,6 +26,10 @@ def fit_figure(result: Fit) -> Figure:
     rows = result.compared[:MAX_ROWS]
     bands = [(float(compared.curves.frequency.min()), float(compared.curves.frequency.max())) for compared in rows]
     crosses = "" if all(compared.is_fitted.all() for compared in rows) else " Crosses: points omitted from the fit."
+    # Scenes name the recordings if their names differ.
+    has_names = len({each.curves.scene.name for each in rows}) == len(
+        {each.curves.label.split(", ")[0] for each in rows}
+    )
     relative = "Responses relative to the table: their peaks are not at natural frequencies. " * any(
         compared.curves.reference == "table" for compared in rows
     )
@@ -33,7 +37,7 @@ def fit_figure(result: Fit) -> Figure:
     with new_figure(_ROW_HEIGHT_IN * len(rows) + 1.0, 10.0) as figure:
         axes = figure.subplots(len(rows), 2, squeeze=False)
         for compared, band, (curve_axes, residual_axes) in zip(rows, bands, axes, strict=True):
-            _draw(curve_axes, residual_axes, compared, result.scene)
+            _draw(curve_axes, residual_axes, compared, result.scene, has_names)
             # Rows of the same band share the frequency labels below the last row.
             labeled = compared is rows[-1] or any(band != other for other in bands)
             for ax in (curve_axes, residual_axes):
@@ -50,7 +54,8 @@ def fit_figure(result: Fit) -> Figure:
     return figure
 
 
-def _draw(curve_axes: Axes, residual_axes: Axes, compared: Comparison, scene: Scene) -> None:
+def _draw(curve_axes: Axes, residual_axes: Axes, compared: Comparison, scene: Scene, is_named: bool) -> None:
+    """Draw the curves and residuals of one sweep; `is_named`: whether its scene names the recording."""
     curves, order = compared.curves, np.argsort(compared.curves.frequency, kind="stable")
     frequency, is_fitted = curves.frequency[order], compared.is_fitted[order]
     factor, unit = (1.0, "m/m") if curves.reference == "table" else (1e6, "µm/N")
@@ -67,8 +72,8 @@ def _draw(curve_axes: Axes, residual_axes: Axes, compared: Comparison, scene: Sc
         curve_axes.plot(drawn, factor * model[k], "-", lw=0.8, color=style.color)
     log_axis(curve_axes, [factor * abs(curves.value), factor * model])
     curve_axes.set_ylabel(f"|x / {curves.reference}| / ({unit})")
-    # The recording is named by its scene.
-    test, details = curves.scene.test, [curves.scene.name, *curves.label.split(", ", 1)[1:]]
+    recording, *level = curves.label.split(", ", 1)
+    test, details = curves.scene.test, [curves.scene.name if is_named else recording, *level]
     if test is not None:
         # With several levels, the label names the level.
         details += [test.title, test.level_text(curves.scene.driven_shaker) if len(test.levels) == 1 else ""]

@@ -230,7 +230,8 @@ def _draw_curve(
             center * np.minimum(1.0 + ratio, 1.0 / _ZERO_RATIO), color=color, alpha=opacity, lw=0,
         )  # fmt: skip
     # The highest point of a peak that may be higher has a bar, too: next to it, the band is narrower than the line.
-    has_bar = _isolated(curve) | np.isin(frf.frequency, [mark.frequency for mark in marks if mark.symbol == "arrows"])
+    has_bar = _isolated(curve) & (frf.frequency.size <= MAX_POINTS)
+    has_bar |= np.isin(frf.frequency, [mark.frequency for mark in marks if mark.symbol == "arrows"])
     has_bar &= is_known & (total > _MIN_VISIBLE_RATIO * magnitude)
     if has_bar.any():
         upper = total[has_bar]

@@ -234,7 +234,7 @@ def _decay_texts(measurements: Sequence[Measurement]) -> list[str]:
     names = f": {' → '.join(f'“{label}”' for label in decays)}" if len(decays) > 1 else ""
     lines = [f"Free decay of {channels} after one impact{names}"]
     for name, times in (
-        ("last acceleration above 1 g after about", [result.quiet_from for result in decays.values()]),
+        ("acceleration below 1 g after about", [result.quiet_from for result in decays.values()]),
         ("energy 6 dB lower (slope from -1 to -11 dB) after about", [result.halving for result in decays.values()]),
     ):
         lines.append(f"{name}: {' → '.join('–' if np.isnan(time) else f'{time:.2g} s' for time in times)}")

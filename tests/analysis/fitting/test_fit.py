@@ -310,9 +310,11 @@ def test_omitted_points_are_drawn_as_crosses():
     value = np.full((1, 4), 1e-5 + 0j)
     demo = curves_of_demo()
     curves = replace(demo, frequency=np.arange(10.0, 14.0), value=value, sensors=demo.sensors[:1])
-    result = SimpleNamespace(compared=[Comparison(curves, value, is_fitted, np.ones((1, 4)), 1.0)], scene=demo.scene)
+    result = SimpleNamespace(
+        compared=[Comparison(curves, value, is_fitted, np.ones((1, 4)), 1.0)], scene=demo.scene, modes=()
+    )
     axes = fit_figure(result).axes  # type: ignore[arg-type]
-    assert axes[0].get_title(loc="left").startswith("demo, stepped sine, ")
+    assert axes[0].get_title(loc="left").startswith("Fig 8, dampers in all three bodies, stepped sine, ")
     assert axes[1].get_title(loc="left") == "Residual 100 % of the curve, rms, 1 point omitted"
     for ax in axes:
         crosses = [line for line in ax.lines if line.get_marker() == "x"]
@@ -325,7 +327,7 @@ def test_fitted_curve_is_drawn_between_the_points():
     compared = Comparison(
         replace(demo, scene=linear), demo.value, np.ones(demo.frequency.size, bool), np.ones(demo.value.shape), 1.0
     )
-    axes = fit_figure(SimpleNamespace(compared=[compared], scene=linear)).axes  # type: ignore[arg-type]
+    axes = fit_figure(SimpleNamespace(compared=[compared], scene=linear, modes=())).axes  # type: ignore[arg-type]
     assert axes[0].lines[-1].get_xdata().size > 1000
 
 

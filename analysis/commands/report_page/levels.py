@@ -66,8 +66,12 @@ def level_headline(measurement: Measurement, groups: Mapping[str, Sequence[Level
         if title:
             ranges = {title: "; ".join(f"{name} {ranges[name]}" for name in list(ranges)[:2])}
         lines += [f"{name}: {text}" for name, text in ranges.items() if name not in _ONLY_IN_TABLE]
-    remarks = [f"{point.level}: {point.note}" for points in groups.values() for point in points if point.note]
-    return "\n".join([*lines, *remarks])
+    remarks: dict[tuple[str, str], list[str]] = {}
+    for title, points in groups.items():
+        for point in points:
+            if point.note:
+                remarks.setdefault((title, point.note), [title] * bool(title)).append(point.level)
+    return "\n".join([*lines, *(f"{', '.join(names)}: {note}" for (_, note), names in remarks.items())])
 
 
 def level_table(measurements: Sequence[Measurement]) -> str:

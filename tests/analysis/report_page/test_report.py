@@ -27,7 +27,7 @@ from analysis.commands.presentation.tables import modes_table
 from analysis.commands.report_page.charts import Chart, ChartWriter, Curve, EvenlySpaced, Panel
 from analysis.commands.report_page.drawing import mode_drawing, rig_drawing
 from analysis.commands.report_page.histories import time_histories
-from analysis.commands.report_page.levels import _highest_maximum
+from analysis.commands.report_page.levels import _highest_maximum, level_headline
 from analysis.commands.report_page.measurements import Measurement, Measurements, SweepChange, highest_peak
 from analysis.commands.report_page.report import page_title, write_report
 from analysis.commands.report_page.responses import force_charts, response_chart, response_charts, stabilization_charts
@@ -38,6 +38,7 @@ from analysis.core.damper_motion.comparison import Peak, PeakChange, local_model
 from analysis.core.damper_motion.motion_types import DamperMotion, motion_table
 from analysis.core.modal.mode_warnings import extrapolates_damping
 from analysis.core.modal.modes import BodyShapes
+from analysis.core.tracking.body_motion import LevelPoint
 from daq.core.recording.markers import Marker
 from rig.core.base.palette import HAMMER, TABLE
 from rig.core.results import format_interval
@@ -228,6 +229,12 @@ def test_headline_of_levels_agrees_with_their_table(level_recordings, tmp_path):
     for mode, line in enumerate(lines):
         ends = re.findall(r"\(([\d.]+ ± [\d.]+)\) Hz at (\d N)", line)
         assert len(ends) >= 2 and {(level, value) for value, level in ends} <= set(rows[4 * mode : 4 * mode + 4])
+
+
+def test_remarks_on_levels_name_their_mode() -> None:
+    points = [LevelPoint(level, 0.0, {}, note) for level, note in (("1 N", ""), ("2 N", "late"), ("3 N", "late"))]
+    text = level_headline(SimpleNamespace(label="bare"), {"mode at 13 Hz": points, "mode at 35 Hz": points[:2]})
+    assert text.split("\n")[-2:] == ["mode at 13 Hz, 2 N, 3 N: late", "mode at 35 Hz, 2 N: late"]
 
 
 def test_flank_of_strong_mode_is_not_weak_peak(tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import groupby, product
-from math import isinf
+from math import isfinite, isinf
 from pathlib import Path
 from typing import Any
 
@@ -57,6 +57,10 @@ _UNBOUNDED_PEAKS = (
     "Some peaks may be higher than measured: the curve has only three points, or it jumps, ends or lacks points next "
     "to its highest point. Measure there with a smaller frequency spacing, in both directions (test.direction: both) "
     "and without overloads."
+)
+# Warning if the uncertainty of a peak is large.
+_UNDETERMINED_PEAKS = (
+    "The uncertainty of some peaks exceeds 50 %: only the lower ends of their 95 % intervals are stated."
 )
 
 
@@ -138,7 +142,6 @@ def compare_peaks(
     )
     lines: list[str] = []
     all_changes: list[tuple[Response, Response, PeakChange]] = []
-    has_unbounded_peak = False
     others = zip(measured_points[1:], names[1:], sweeps[1:], strict=True)
     for points, name, frfs in ((points, name, frfs) for points, name, groups in others for frfs in groups):
         path, same_sensors = points.path, points.same_sensors(measured_points[0])
@@ -156,12 +159,16 @@ def compare_peaks(
                 "these changes"
             )
         lines += _uncompared_peaks(changes, ((paths[0], first_frfs), (path, frfs)), modes)
-        has_unbounded_peak |= any(isinf(change.baseline.expanded + change.damped.expanded) for change in changes)
+        peaks = [peak for change in changes for peak in (change.baseline, change.damped)]
+        if any(isinf(peak.expanded) for peak in peaks):
+            warnings.append(_UNBOUNDED_PEAKS)
+        if any(isfinite(peak.expanded) and not peak.is_determined for peak in peaks):
+            warnings.append(_UNDETERMINED_PEAKS)
         all_changes += [(first_frfs[0], frfs[0], change) for change in changes]
     return Comparison(
         tuple(all_changes),
         tuple(lines),
-        (*dict.fromkeys(warnings), *((_UNBOUNDED_PEAKS,) if has_unbounded_peak else ())),
+        tuple(dict.fromkeys(warnings)),
     )
 
 

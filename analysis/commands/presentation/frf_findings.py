@@ -82,7 +82,8 @@ def present_frf(
     check_outputs(paths, table)
     tolerance_remarks: list[str] = []
     moving: dict[str, bool] = {}
-    scenes: set[str] = set()
+    # Names by rig: overrides change the rig of a scene, but not its name.
+    scenes: dict[str, str] = {}
     excitations: dict[str, str] = {}
     acquisitions: set[str] = set()
     validity: dict[str, list[str]] = {}
@@ -91,13 +92,13 @@ def present_frf(
             file_curves = read_curves(path, reference, response, unit)
             curves += [replace(frf.to(motion), label=label) for frf in file_curves]
             moving[label], excitations[label] = True, ""
-            scenes.add(label)
+            scenes[label] = label
             warnings += with_recording_name(path, file_curves[0].warnings)
             continue
         rec = recordings.of(path)
         options = vars(blocks.for_kind(rec.test.kind))
         groups = frequency_responses(rec, response, reference, motion, progress=progress, **options)
-        scenes.add(rec.scene.name)
+        scenes[repr(rec.scene.model_dump(exclude={"test"}))] = rec.scene.name
         curves += [relabel(frf, rec.scene.name, label) for group in groups for frf in group]
         moving[label], excitations[label] = not rec.scene.is_linear, excitation_text(rec)
         if texts := validity_texts(rec):
@@ -114,7 +115,7 @@ def present_frf(
         for text, named in validity.items()
     ]
     baseline = baseline_label(moving)
-    files = _draw_figures(curves, theory_curves, stem, baseline, excitations, acquisitions, remarks, scenes)
+    files = _draw_figures(curves, theory_curves, stem, baseline, excitations, acquisitions, remarks, [*scenes.values()])
     files.append(frf_table(table, curves))
     lines = (*describe_frfs(curves), *dict.fromkeys(tolerance_remarks), *missing_tolerances(curves))
     return CommandOutput(tuple(files), lines, tuple(warnings))
@@ -223,7 +224,7 @@ def _draw_figures(
 
     `baseline`: label of the recording with which all others are compared; `excitations`: test and level by recording;
     `acquisitions`: averages, lines and sample rates of all recordings; `remarks`: sentences for the captions;
-    `scenes`: names of the scenes.
+    `scenes`: names of the scenes, one for each rig.
     """
     from analysis.commands.figures.frf_figure import frf_figure
     from rig.core.base.figure_style import save_figure

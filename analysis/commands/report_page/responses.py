@@ -71,8 +71,10 @@ def response_charts(measurements: Sequence[Measurement], baseline_name: str) -> 
     recording with which the others are compared.
     """
     with_responses = [measurement for measurement in measurements if measurement.sweeps]
-    all_frfs = [(frf, each.drawn) for each in with_responses for sweep in each.sweeps for frf in sweep.frfs]
-    frfs = [frf for frf, drawn in all_frfs if frf.response in drawn]
+    # A channel that is drawn for one recording is drawn for all, so that they can be compared.
+    drawn = {name for each in with_responses for name in each.drawn}
+    all_frfs = [frf for each in with_responses for sweep in each.sweeps for frf in sweep.frfs]
+    frfs = [frf for frf in all_frfs if frf.response in drawn]
     part = f"Drawn: {len(frfs)} of {len(all_frfs)} responses, first those with the highest peak of a mode."
     several = len({frf.label for frf in frfs}) > 1
     charts = list[Chart]()

@@ -91,7 +91,8 @@ def change_text(change: PeakChange) -> str:
         # A reduction is written as a positive number.
         sign, direction = (-1.0, "reduction") if best < 0.0 else (1.0, "increase")
         ends = " to ".join(f"{limit:.{decimals}f}" for limit in sorted((sign * low, sign * high)))
-        return f"{direction} {abs(best):.{decimals}f} dB ({ends})"
+        is_determined = change.baseline.is_determined and change.damped.is_determined
+        return f"{direction} {abs(best):.{decimals}f} dB ({ends})" if is_determined else f"{direction} of {ends} dB"
     # A lower limit of the change is an upper limit of a reduction.
     limit, is_lower = (low, True) if isfinite(low) else (high, False)
     direction = "reduction" if limit < 0.0 else "increase"

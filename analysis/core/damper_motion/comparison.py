@@ -417,7 +417,9 @@ class PeakChange:
         bounds = [peak.expanded for peak in peaks if peak.is_determined]
         bound = factor * max([*bounds, _HEIGHT_RESOLUTION * max(peak.value for peak in peaks)])
         return tuple(
-            f"≥ {round_to_bound(factor * peak.low, bound)}"
+            "not determined"
+            if isfinite(peak.expanded) and peak.low <= 0.0
+            else f"≥ {round_to_bound(factor * peak.low, bound)}"
             if not peak.is_determined
             else f"{round_to_bound(factor * peak.value, bound)}{' (extrapolated)' * peak.is_extrapolated}"
             for peak in peaks

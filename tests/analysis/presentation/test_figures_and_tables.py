@@ -302,13 +302,22 @@ def test_reference_is_gray_in_any_order(folder):
     assert colors["without"] == BASELINE != colors["with"]
 
 
-def test_recordings_of_one_scene_are_named_by_level(tmp_path):
+def text_of_two_levels(folder, scenes):
     f = np.linspace(10.0, 20.0, 11)
     curves = [Response.curve(f, np.ones(11, dtype=complex), "body1", label=name) for name in ("one", "two")]
     tests = {"one": "stepped sine, 1 N", "two": "stepped sine, 2 N"}
-    _draw_figures(curves, [], tmp_path / "both", "", tests, scenes={"a scene"})
-    text = (tmp_path / "both.svg").read_text("utf-8")
+    _draw_figures(curves, [], folder / "both", "", tests, scenes=scenes)
+    return (folder / "both.svg").read_text("utf-8")
+
+
+def test_recordings_of_one_rig_are_named_by_level(tmp_path):
+    text = text_of_two_levels(tmp_path, ["a scene"])
     assert ">2 N<" in text and ": a scene" in text and "two" not in text
+
+
+def test_rigs_of_one_name_keep_their_labels(tmp_path):
+    text = text_of_two_levels(tmp_path, ["a scene", "a scene"])
+    assert "two" in text and ": a scene" not in text
 
 
 def uncertain_jump(**settings):

@@ -32,7 +32,7 @@ from analysis.commands.report_page.measurements import Measurement, Measurements
 from analysis.commands.report_page.report import page_title, write_report
 from analysis.commands.report_page.responses import force_charts, response_chart, response_charts, stabilization_charts
 from analysis.commands.report_page.summary import limitations, summarize
-from analysis.commands.report_page.tables import changes_table, mac_table, motions, resonances
+from analysis.commands.report_page.tables import change_text, changes_table, mac_table, motions, resonances
 from analysis.commands.report_page.tables import test_sentence as sentence_of
 from analysis.core.damper_motion.comparison import Peak, PeakChange, local_model, resonance_peak, resonance_peaks
 from analysis.core.damper_motion.motion_types import DamperMotion, motion_table
@@ -289,13 +289,13 @@ def test_many_forces_leave_places_for_responses() -> None:
     assert len(drawn) == 16 and "tip" in drawn
 
 
-def test_each_recording_draws_its_own_channels(recordings: list[Path], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_channels_of_one_recording_are_compared(recordings: list[Path], monkeypatch: pytest.MonkeyPatch) -> None:
     with Measurements(recordings) as measurements:
         one, other = measurements.results
     drawn = property(lambda self: ["body1"] if self is one else ["body2"])
     monkeypatch.setattr(Measurement, "drawn", drawn)
     charts = response_charts([one, other], one.label)
-    assert [{curve.label for curve in chart.panels[0].curves} for chart in charts] == [{one.label}, {other.label}]
+    assert [{curve.label for curve in chart.panels[0].curves} for chart in charts] == 2 * [{one.label, other.label}]
 
 
 def test_curve_that_folds_back_is_drawn_as_points() -> None:
@@ -756,6 +756,16 @@ def test_undetermined_peak_is_a_lower_bound() -> None:
     assert change.height_texts(1e6) == ("2136", "≥ 448")
     [row] = change_table([change], ("µm/N", 1e6)).rows
     assert row[4] == row[-1] == "" and row[5].startswith("-13.")
+
+
+def test_change_of_undetermined_peak_is_an_interval() -> None:
+    bare, damped = Peak(1e-3, 2e-5, 10.0, 9.9, 10.1), Peak(4e-4, 2.4e-4, 10.0, 9.9, 10.1)
+    assert re.fullmatch(r"reduction of \S+ to \S+ dB", change_text(PeakChange("body1", 10.0, 0.01, bare, damped)))
+
+
+def test_peak_below_its_uncertainty_is_not_determined() -> None:
+    bare, damped = Peak(1e-3, 2e-5, 10.0, 9.9, 10.1), Peak(4e-4, 5e-4, 10.0, 9.9, 10.1)
+    assert PeakChange("body1", 10.0, 0.01, bare, damped).height_texts(1e6)[1] == "not determined"
 
 
 def test_different_shapes_are_marked() -> None:

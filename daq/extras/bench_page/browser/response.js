@@ -9,7 +9,7 @@ const response = {
   start(channels, isLinear) {
     this.channels = channels.filter((channel) => channel.responds);
     this.isLinear = isLinear;
-    setText("damping-kind", isLinear ? "half-power damping, 95 %" : "approximate: dampers move");
+    setText("damping-kind", isLinear ? "half-power damping, 95 %" : "approximate: nonlinear");
     this.chart = new Chart($("frf"), { name: "frequency / Hz", log: false });
     fillLegend($("legend"), this.channels);
     make($("legend"), "small").id = "thin";

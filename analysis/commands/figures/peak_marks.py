@@ -185,7 +185,7 @@ def label_peaks(marks: Sequence[tuple[PeakMark, str]], frf: Response, axes: Axes
             style["arrowprops"] = {"arrowstyle": "-", "color": color, "lw": 0.6, "shrinkA": 0, "shrinkB": 3}
             beside.append(direction)
         elif not sides:
-            # The label of the highest peak is beside a curve that is above it.
+            # The label of the highest peak is next to a curve that is above it.
             style |= {"ha": "right", "xytext": (-3.0, offset[1])}
         text = peak_label(mark) if mark.is_steady else f"({peak_label(mark)})"
         axes.annotate(

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import rig
-from daq.core.excitation.tones.repeating_tone import irregularity, repetition
+from daq.core.excitation.tones.repeating_tone import irregularity_and_decay, repetition
 from rig.core.base.arrays import Array
 from tests.daq.measurement.bench_run import run
 
@@ -16,14 +16,13 @@ TOLERANCE = 1e-3
 TIME = np.arange(PERIODS * PER_PERIOD) / PER_PERIOD
 
 
-def of_motion(modulation: Array, noise: float = 0.0, seed: int = 0) -> int:
-    """Return the repetition of a tone with a modulation and noise, both relative to its amplitude."""
+def of_motion(modulation: Array, noise: float = 0.0, seed: int = 0, size: int | None = None) -> int:
+    """Return the repetition of a tone with a modulation and noise, relative to its amplitude, in `size` samples."""
     samples = (1.0 + modulation) * np.sin(2.0 * np.pi * TIME)
     samples += noise * np.random.default_rng(seed).standard_normal(samples.size)
     # Largest difference of the amplitudes in Hann windows of two periods, with a margin of 2 in the variance.
     expected = noise * (2.0 * 2.0 * 2.0 * 1.5 * 2.0 / (2 * PER_PERIOD)) ** 0.5
-    every, latest = (irregularity(part, 1.0, float(PER_PERIOD)) for part in (samples, samples[samples.size // 2 :]))
-    return repetition(every, latest[0] / max(every[0], 1e-300), TOLERANCE, expected)
+    return repetition(*irregularity_and_decay(samples[:size], 1.0, float(PER_PERIOD)), TOLERANCE, expected)
 
 
 def alternating(ratio: float) -> Array:
@@ -34,6 +33,10 @@ def alternating(ratio: float) -> Array:
 @pytest.mark.parametrize("ratio", [1e-3, 1e-2])
 def test_small_doubling_is_two_periods(ratio: float) -> None:
     assert of_motion(alternating(ratio), noise=1e-4) == 2
+
+
+def test_doubling_in_a_few_periods_is_recognized() -> None:
+    assert of_motion(alternating(0.1), size=5 * PER_PERIOD) != 1
 
 
 def test_slow_beat_does_not_repeat() -> None:

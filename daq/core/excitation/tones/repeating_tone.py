@@ -86,12 +86,8 @@ class RepeatingTone(SteadyTone):
         # The windows of the comparison have two periods, and a Hann window has 1.5 times the noise.
         ratio = (1.5 * len(_COMPARED_ORDERS) * self.window * self.frequency / self.rate / 2.0) ** 0.5
         noise = ratio * self.relative_noise(motion)
-        every, latest = (
-            irregularity(part, self.frequency, self.rate) for part in (samples, samples[samples.size // 2 :])
-        )
-        # A measurement of a few periods does not show whether their differences decrease.
-        decay = latest[0] / max(every[0], 1e-300) if any(latest) else 1.0
-        return repetition(every, decay, self._settle.tolerance, noise, feedback)
+        differences, decay = irregularity_and_decay(samples, self.frequency, self.rate)
+        return repetition(differences, decay, self._settle.tolerance, noise, feedback)
 
     def add_repetition(self, level: float, repetition: int) -> None:
         """Add a motion to those of the next warning."""
@@ -143,6 +139,13 @@ def irregularity(samples: Array, frequency: float, rate: float) -> list[float]:
         float(np.sqrt(np.mean(np.sum(abs(amplitudes[lag:] - amplitudes[:-lag]) ** 2, axis=1)))) / scale
         for lag in range(1, len(rows) // 2 + 1)
     ] or [0.0]
+
+
+def irregularity_and_decay(samples: Array, frequency: float, rate: float) -> tuple[list[float], float]:
+    """Return the irregularity, and the ratio of its first difference in the second half of the samples to this one."""
+    every, latest = (irregularity(part, frequency, rate) for part in (samples, samples[samples.size // 2 :]))
+    # A measurement of a few periods does not show whether their differences decrease.
+    return every, latest[0] / max(every[0], 1e-300) if any(latest) else 1.0
 
 
 def repetition(

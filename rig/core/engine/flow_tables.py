@@ -50,9 +50,9 @@ MAX_STEP_MATRIX_DAMPERS = 6
 #: For a system with more states, the step matrices of all configurations are tabulated up to this memory, in bytes.
 #: Step matrices are faster than the series if A is dense (modal damping, given matrices).
 MAX_STEP_MATRIX_BYTES = 1 << 29
-#: Memory, in bytes, of an element of the step matrix, including the tables of derivatives and bounds.
+#: Memory, in bytes, of an entry of the step matrix, including the tables of derivatives and bounds.
 ELEMENT_BYTES = 20
-#: Memory, in bytes, of the terms of the matrix exponential for an element of the matrix. Only the terms of one
+#: Memory, in bytes, of the terms of the matrix exponential for an entry of the matrix. Only the terms of one
 #: configuration are stored at a time.
 TERM_BYTES = 9 * TERMS
 #: An array contains the table index of every possible configuration up to this number of configurations.
@@ -195,7 +195,7 @@ class FlowTables:
         )
 
     def _sparsity_pattern(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the elements of A that may be nonzero in any configuration: row pointers (size + 1,) and columns."""
+        """Return the entries of A that may be nonzero in any configuration: row pointers (size + 1,) and columns."""
         may_be_nonzero = self.generator(0)[0] != 0
         for element, stride in zip(self.system.elements, self.system.strides, strict=True):
             for index, force in enumerate(element.law.forces):

@@ -12,31 +12,24 @@ from rig.core.numerics.simd import aligned_zeros, padded_length
 
 
 class Workspace(NamedTuple):
-    """Scratch arrays of one running kernel.
+    """Scratch arrays of one running kernel. z: state; tau: time relative to a step."""
 
-    end_state: state at the end of a step. magnitude: |z| of the state z. envelope: upper bound of |z|. margin: smallest
-    distance of each signal from its limits, at both ends of a step, with which it cannot reach a limit within the step
-    (`rig.core.engine.screening`). signals: signals of the present regimes. bound, derivative: results of the tables of
-    the same names in `Flow`. state_series: power series of the state in tau, the time relative to a step; shape (terms,
-    states). series_matrix: a view of it as a table of one matrix without constant part (`zero_constant`), to be
-    multiplied by `powers` of tau. guard_series: power series of a signal's distance from a limit. subdivision, spans,
-    bernstein: see `rig.core.numerics.bernstein.first_crossing`.
-    """
-
-    end_state: np.ndarray
-    magnitude: np.ndarray
-    envelope: np.ndarray
+    end_state: np.ndarray  # State at the end of a step
+    magnitude: np.ndarray  # |z|
+    envelope: np.ndarray  # Upper bound of |z|
+    # Sufficient distance of each signal from its limits: a signal that is farther away at both ends of a step cannot
+    # reach a limit within the step (`rig.core.engine.screening`)
     margin: np.ndarray
-    signals: Signals
-    state_series: np.ndarray
-    bound: np.ndarray
-    derivative: np.ndarray
+    signals: Signals  # Signals of the present regimes
+    state_series: np.ndarray  # Power series of z in tau, shape (terms, states)
+    bound: np.ndarray  # Result of the table `bound` of `Flow`
+    derivative: np.ndarray  # Result of the table `derivative` of `Flow`
     contact: ContactWorkspace
-    series_matrix: np.ndarray
-    powers: np.ndarray
+    series_matrix: np.ndarray  # `state_series` as a table with one matrix; its constant part is `zero_constant`
+    powers: np.ndarray  # Powers of tau, by which `series_matrix` is multiplied
     zero_constant: np.ndarray
-    guard_series: np.ndarray
-    subdivision: np.ndarray
+    guard_series: np.ndarray  # Power series of a signal's distance from a limit
+    subdivision: np.ndarray  # As in `rig.core.numerics.bernstein.first_crossing`, like the next two
     spans: np.ndarray
     bernstein: np.ndarray
 

@@ -44,7 +44,7 @@ def steady_study(scene: Scene, frequency: float, progress: Callable[[str], None]
 
     `scene`: if its test controls the amplitude of the spring force, that force acts on the body as a pure sinusoid;
     `frequency`: Hz; if the motion is irregular there, the nearest of several frequencies with periodic motion. Raises
-    `RunError` if the reference is not a thousand times better than the best method.
+    `RunError` if the reference is not `MIN_REFERENCE_MARGIN` times better than the best method.
     """
     report = progress if progress is not None else lambda computation: None
     scene = with_ideal_force(scene)
@@ -75,8 +75,9 @@ def steady_study(scene: Scene, frequency: float, progress: Callable[[str], None]
     margin = smallest_error / max(reference.agreement, 10.0**-DIGITS)
     if margin < MIN_REFERENCE_MARGIN:
         raise RunError(
-            "the reference of the steady state must be a thousand times more accurate than the best method, but is "
-            "not. Please report this as a bug, and attach the scene."
+            f"the error of the reference of the steady state is only {margin:.0f} times smaller than that of the "
+            f"best method; expected at least {MIN_REFERENCE_MARGIN:.0f} times. Please report this as a bug, and attach "
+            "the scene."
         )
     return SteadyStudy(
         tuple(points),

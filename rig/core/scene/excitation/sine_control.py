@@ -3,9 +3,7 @@
 from collections.abc import Iterable
 from typing import Annotated, ClassVar, Literal
 
-from pydantic import Field
-
-from rig.core.scene.excitation.kind import DrivenShaker, Duration, Frequency, KindOfTest, Spacing, Start
+from rig.core.scene.excitation.kind import DrivenShaker
 from rig.core.scene.excitation.profile import Control, Decibels, MotionLimit, MotionProfile
 from rig.core.scene.excitation.profile_control import ProfileControl
 from rig.core.scene.excitation.swept_sine import FrequencySweep
@@ -15,22 +13,11 @@ from rig.core.settings.quantities import RATIO
 from rig.core.settings.quantity_field import Quantity
 
 
-class SineControl(FrequencySweep, ProfileControl, KindOfTest):
+class SineControl(ProfileControl, FrequencySweep):
     """A swept sine whose amplitude at control channels follows a profile, with limits of other channels."""
 
     kind: Literal["sine_control"] = "sine_control"
-    recorded_as: ClassVar = "sweep"
     level_keys: ClassVar = ()
-    single_tone: ClassVar = True
-    start: Start = "settled"
-    from_: Frequency = Field(alias="from")
-    """First frequency [Hz]."""
-    to: Frequency
-    """Last frequency [Hz], above or below the first."""
-    duration: Duration
-    """Duration of the sweep [s]."""
-    spacing: Spacing = "log"
-    """Whether the frequency changes by equal steps (linear) or equal factors (log) in equal times."""
     profile: MotionProfile
     """Amplitude of the control channels: keys frequencies, and acceleration, velocity or displacement."""
     control: Control

@@ -1,7 +1,7 @@
 """A sine whose frequency sweeps from one end to the other."""
 
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
@@ -21,14 +21,21 @@ from rig.core.scene.excitation.kind import (
 from rig.core.settings.problems import Problem
 
 
-class FrequencySweep:
-    """The frequency of a test whose tone sweeps from one end to the other; the subclasses define the keys."""
+class FrequencySweep(KindOfTest):
+    """A test whose tone sweeps from one end to the other; the subclasses define the level."""
 
-    if TYPE_CHECKING:
-        from_: float
-        to: float
-        duration: float
-        spacing: Spacing
+    recorded_as: ClassVar = "sweep"
+    single_tone: ClassVar = True
+    kind: str
+    start: Start = "settled"
+    from_: Frequency = Field(alias="from")
+    """First frequency [Hz]."""
+    to: Frequency
+    """Last frequency [Hz], above or below the first."""
+    duration: Duration
+    """Duration of the sweep [s]."""
+    spacing: Spacing = "log"
+    """Whether the frequency changes by equal steps (linear) or equal factors (log) in equal times."""
 
     @property
     def band(self) -> tuple[float, float]:
@@ -73,24 +80,13 @@ class FrequencySweep:
         return Chirp(2.0 * np.pi * self.periods_at(progress), self.frequency_at(progress))
 
 
-class SweptSine(FrequencySweep, KindOfTest):
+class SweptSine(FrequencySweep):
     """A sine whose frequency sweeps steadily from one end to the other, upward or downward."""
 
     one_of: ClassVar = (("force", "drive"),)
     kind: Literal["swept_sine"] = "swept_sine"
-    recorded_as: ClassVar = "sweep"
-    single_tone: ClassVar = True
     # The controller identifies the shaker from both ends of its spring, so it does not use a force sensor.
     controls_by_cell: ClassVar = False
-    start: Start = "settled"
-    from_: Frequency = Field(alias="from")
-    """First frequency [Hz]."""
-    to: Frequency
-    """Last frequency [Hz], above or below the first."""
-    duration: Duration
-    """Duration of the sweep [s]."""
-    spacing: Spacing = "log"
-    """Whether the frequency changes by equal steps (linear) or equal factors (log) in equal times."""
     force: Force | None = None
     """Amplitude of the spring force, kept constant by the controller, or of the force of a force shaker [N]."""
     drive: Drive | None = None

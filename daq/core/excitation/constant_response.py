@@ -72,7 +72,7 @@ class HeldMotion(EnvelopeTone):
             else:
                 super().start(self.target)
                 settled = yield from super().settle({frequency: drive}, tolerance, min(_AMPLITUDE_WAIT_S, remaining_s))
-                self.motion = (yield from self.observe(self.window))[0, 0] * self.direction
+                yield from self.observe(self.window)
             drive = self.amplitude
         if not settled and self.amplitude >= AT_LIMIT_RATIO * self.station.drive_limit:
             self.limited[frequency] = abs(self.motion) / self.target

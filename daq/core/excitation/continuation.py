@@ -94,11 +94,12 @@ class _Curve:
 
     def __init__(self, station: Station, test: Continuation, tone: CurveTone, level: float) -> None:
         self._station, self._test, self._tone, self._level = station, test, tone, level
-        self._at_level = f"level {station.level_text(level)}"
+        self.at_level = f"level {station.level_text(level)}"
         self._forward = math.copysign(1.0, test.to - test.from_)
         self._band = abs(test.to - test.from_)
         self.points: list[Point] = []
-        self._tangent = self._forward, 0.0
+        # Direction of the curve at the last point, as e^{i angle} in the plane of `_change`.
+        self._tangent = complex(self._forward)
         self._holding = False
         self._length = test.step  # length of the last step
         self._chord, self._bend = test.step, 0.0  # distance of the last two points, and change of direction [rad]
@@ -110,7 +111,7 @@ class _Curve:
     @property
     def unstable(self) -> bool:
         """Whether the last step was opposite to the direction of the test, as between folds: the motion is unstable."""
-        return self._tangent[0] * self._forward < 0.0
+        return self._tangent.real * self._forward < 0.0
 
     def follow(self, drive: float) -> Generator[Array, Array, None]:
         """Measure points up to the end of the band; raise `Lost`. `drive`: amplitude of the first drive."""
@@ -131,12 +132,12 @@ class _Curve:
                 yield from self._leap(self._reason(growth))
         if len(self.points) == test.points:
             self._station.warn(
-                f"{self._at_level}: the curve ends at {self.points[-1].frequency:.4g} Hz after {test.points} "
+                f"{self.at_level}: the curve ends at {self.points[-1].frequency:.4g} Hz after {test.points} "
                 "points. Increase test.points or test.step."
             )
         elif self._share < 0.0:
             self._station.warn(
-                f"{self._at_level}: the curve turns back and leaves the band at {self.points[-1].frequency:.4g} "
+                f"{self.at_level}: the curve turns back and leaves the band at {self.points[-1].frequency:.4g} "
                 "Hz, where the test began. Folds outside the band are not measured. Set test.from farther from the "
                 "resonance."
             )
@@ -166,29 +167,27 @@ class _Curve:
 
     def _add(self, point: Point) -> Generator[Array, Array, bool]:
         """Measure at a settled point next to the last point, and add it to the curve; return whether it was steady."""
-        before = self._tangent, self._chord, self._bend, self.folds
-        if self.points:
-            change = self._scaled(self.points[-1], point)
-            length = math.hypot(*change)
-            was_unstable = self.unstable
-            if length > 0.0:
-                bend = 2.0 * self._turn(point) / (length + self._chord)
-                self._bend = max(-_MAX_TURN, min(_MAX_TURN, bend * length)) / length if self._holding else 0.0
-                self._tangent, self._chord = (change[0] / length, change[1] / length), length
-            self.folds += self.unstable != was_unstable
-        measured = yield from self._measure(point, None)
-        if not measured:
-            self._tangent, self._chord, self._bend, self.folds = before
-        return measured
+        change = self._change(point) if self.points else 0j
+        length = math.hypot(change.real, change.imag)
+        if not length:
+            return (yield from self._measure(point, self._tangent, self._chord, self._bend))
+        bend = 2.0 * self._turn(point) / (length + self._chord)
+        bend = max(-_MAX_TURN, min(_MAX_TURN, bend * length)) / length if self._holding else 0.0
+        return (yield from self._measure(point, change / length, length, bend))
 
-    def _measure(self, point: Point, jump: float | None) -> Generator[Array, Array, bool]:
-        """Measure at a settled point; return whether it was steady. `jump`: result of `_past_corner`."""
-        test, station, tone = self._test, self._station, self._tone
+    def _measure(
+        self, point: Point, tangent: complex, chord: float, bend: float, jump: float | None = None
+    ) -> Generator[Array, Array, bool]:
+        """Measure at a settled point, and add it to the curve with its direction; return whether it was steady.
+
+        `jump`: result of `_past_corner`.
+        """
+        test, station, tone, is_unstable = self._test, self._station, self._tone, tangent.real * self._forward < 0.0
         first = station.now
         samples = round(test.measure.periods * station.rate / point.frequency)
         # At constant drive, a motion next to a fold drifts slowly, and its force is in error.
         held = yield from tone.hold_envelope(samples, point.motion, feedback=self._holding)
-        if self._holding and not self.unstable and held.invasive >= _MAX_INVASIVE:
+        if self._holding and not is_unstable and held.invasive >= _MAX_INVASIVE:
             # Feedback excites some stable motions, such as those next to corners.
             if (yield from tone.hold_at(point.frequency, point.motion)) is None:
                 return False
@@ -197,29 +196,24 @@ class _Curve:
         # The amplitude of an irregular motion can also grow.
         settled = held.invasive < _MAX_INVASIVE and not (held.growth and held.repetition)
         self._is_irregular |= settled and not held.repetition
-        tone.mark_measured(
-            first,
-            held,
-            settled,
-            distance=abs(point.pole),
-            frequency=point.frequency,
-            level=self._level,
-            direction="up",
-            jump=jump,
-        )
+        fields = {"distance": abs(point.pole), "frequency": point.frequency, "level": self._level}
+        tone.mark_measured(first, held, settled, **fields, direction="up", jump=jump)
         if not (settled and held.repetition):
             return False
+        self.folds += is_unstable != self.unstable
+        self._tangent, self._chord, self._bend = tangent, chord, bend
         self._drive = abs(held.drive) * self._level / point.level
         self.points.append(point)
         self._holding = tone.is_holdable(point, 1.0 if self._holding else _BEGIN_RATIO)
         share = min(max(self._share, 0.0), 1.0)
-        station.report(share, f"{format_decimals(point.frequency, 2)} Hz, {self._at_level}")
+        station.report(share, f"{format_decimals(point.frequency, 2)} Hz, {self.at_level}")
         return True
 
-    def _scaled(self, start: Point, end: Point) -> tuple[float, float]:
-        """Return the changes between two points, without unit: angular frequency over `_rate`, and ln(amplitude)."""
-        turn = 2.0 * math.pi * (end.frequency - start.frequency) / self._rate(start)
-        return turn, math.log(end.motion / start.motion)
+    def _change(self, point: Point) -> complex:
+        """Return the change from the last point: the angular frequency over `_rate` + i ln(amplitude)."""
+        last = self.points[-1]
+        turn = 2.0 * math.pi * (point.frequency - last.frequency) / self._rate(last)
+        return complex(turn, math.log(point.motion / last.motion))
 
     def _rate(self, point: Point) -> float:
         """Return |l| at a point, 1/s, limited by the largest change of the frequency in a step."""
@@ -244,11 +238,10 @@ class _Curve:
 
     def _held(self, length: float) -> Generator[Array, Array, Point | None]:
         """Measure the next point along the curve with feedback; return None if the corrections do not converge."""
-        last, direction = self.points[-1], complex(*self._tangent)
+        last = self.points[-1]
         # The next chord is assumed to turn as much as the last chord, in proportion to the distance of their centers.
-        direction *= cmath.exp(0.5j * self._bend * (self._chord + length))
-        along, up = direction.real, direction.imag
-        rate = self._rate(last)
+        direction = self._tangent * cmath.exp(0.5j * self._bend * (self._chord + length))
+        along, up, rate = direction.real, direction.imag, self._rate(last)
         # Expected slope of ln(force) along the normal, from its slopes over w / |l| and over ln |X|. The slope over w /
         # |l| is that of a mode. The slope over ln |X| is 1 for a mode; where the curve is steep, it follows from the
         # tangent, along which the force is constant.
@@ -258,17 +251,16 @@ class _Curve:
         visited = list[tuple[float, float]]()
         position = 0.0
         for _ in range(_MAX_CORRECTIONS):
-            x, y = length * along - position * up, length * up + position * along
-            frequency, motion = last.frequency + x * rate / (2.0 * math.pi), last.motion * math.exp(y)
-            point = yield from self._tone.hold_at(frequency, motion)
+            change = complex(length, position) * direction
+            frequency = last.frequency + change.real * rate / (2.0 * math.pi)
+            point = yield from self._tone.hold_at(frequency, last.motion * math.exp(change.imag))
             if point is None:
                 return None
             error = math.log(point.level / self._level)
             if abs(error) <= max(_TOLERANCE, 2.0 * self._tone.scatter / math.sqrt(AVERAGED_WINDOWS)):
                 return point
             visited.append((position, error))
-            candidate = _next_position(visited, slope, 2.0 * length)
-            if candidate is None:
+            if (candidate := _next_position(visited, slope, 2.0 * length)) is None:
                 return None
             position = candidate
         return None
@@ -290,15 +282,11 @@ class _Curve:
                 point = yield from self._driven(ratio * self._test.step)
             if point is None:
                 continue
-            before = self._tangent, self._chord, self._bend
-            self._tangent, self._chord, self._bend = (self._forward, 0.0), self._test.step, 0.0
-            if (yield from self._measure(point, jump)):
-                self.folds += was_unstable
+            if (yield from self._measure(point, complex(self._forward), self._test.step, 0.0, jump)):
                 is_adjacent = bool(self.gaps) and self.gaps[-1][1] == last.frequency
                 start = self.gaps.pop()[0] if is_adjacent else last.frequency
                 self.gaps.append((start, point.frequency))
                 return
-            self._tangent, self._chord, self._bend = before
         raise Lost(reason)
 
     def _past_corner(self, length: float) -> Generator[Array, Array, tuple[Point | None, float]]:
@@ -308,7 +296,7 @@ class _Curve:
         lies between the two frequencies. `length`: change of ln(amplitude) along the curve, from which the motion
         settles.
         """
-        last, tone, up = self.points[-1], self._tone, self._tangent[1]
+        last, tone, up = self.points[-1], self._tone, self._tangent.imag
         target = last.motion * math.exp(math.copysign(length, up))
         step = -self._forward * _CORNER_RATIO * self._test.step * self._rate(last) / (2.0 * math.pi)
 
@@ -345,9 +333,7 @@ class _Curve:
 
     def _turn(self, point: Point) -> float:
         """Return the angle from the last chord to the chord to a new point [rad]."""
-        x, y = self._scaled(self.points[-1], point)
-        along, up = self._tangent
-        return math.atan2(along * y - up * x, along * x + up * y)
+        return cmath.phase(self._change(point) * self._tangent.conjugate())
 
     def _returns(self) -> Generator[Array, Array, bool]:
         """Settle at the last point without feedback; return whether the motion is the same: it has not jumped."""
@@ -446,16 +432,16 @@ class ContinuationProcedure(SteadyTonesProcedure["Continuation"]):
         tone, failures, useless = CurveTone(station, test, force), list[str](), 0
         yield from tone.measure_noise()
         for level in test.levels:
-            curve, at_level = _Curve(station, test, tone, level), f"level {station.level_text(level)}"
+            curve = _Curve(station, test, tone, level)
             try:
                 yield from curve.follow(tone.start(level))
             except Lost as loss:
-                failures.append(f"{at_level}, {len(curve.points)} points: {loss}.")
+                failures.append(f"{curve.at_level}, {len(curve.points)} points: {loss}.")
                 useless += not curve.folds
             if curve.gaps:
                 station.warn(
-                    f"{at_level}: no points from {format_gaps(curve.gaps)}, where no steady motion was found: the "
-                    "period has doubled, or the impacts in a period change. Folds in this range are not measured. "
+                    f"{curve.at_level}: no points from {format_gaps(curve.gaps)}, where no steady motion was found: "
+                    "the period has doubled, or the impacts in a period change. Folds in this range are not measured. "
                     "Reduce test.step."
                 )
             tone.warn_of_repetitions()
@@ -475,10 +461,6 @@ class ContinuationProcedure(SteadyTonesProcedure["Continuation"]):
                 count += (math.asinh((high - omega) / rate) + math.asinh((omega - low) / rate)) / test.step
         seconds = expected_wait(scene, test.settle.longest) + test.measure.periods / test.from_
         return len(test.levels) * min(count, test.points) * seconds
-
-    def part(self, test: Continuation, seconds: float, scene: Scene) -> Continuation:
-        """Return the curve of the highest level."""
-        return test.at_level(max(test.levels))
 
     def from_form(self, values: FormValues, test: KindOfTest | None) -> dict[str, Any]:
         """Return curves at the given force, of body 1 or of the body of the scene's test."""

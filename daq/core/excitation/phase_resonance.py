@@ -179,10 +179,6 @@ class PhaseResonanceProcedure(SteadyTonesProcedure["PhaseResonance"]):
         """Return the expected time of all locks [s]."""
         return len(test.levels) * min(_PERIODS_OF_LOCK / test.frequency, test.settle.longest)
 
-    def part(self, test: PhaseResonance, seconds: float, scene: Scene) -> PhaseResonance:
-        """Return the test at its highest level only."""
-        return test.at_level(max(test.levels))
-
     def from_form(self, values: FormValues, test: KindOfTest | None) -> dict[str, Any]:
         """Return a tone at the given force that follows the resonance of the body in the test; default: body 1."""
         at, _ = (test and test.held_phase) or ("body 1", 0.0)

@@ -1,6 +1,6 @@
 """Random test: Gaussian noise in a frequency band, continuous or in bursts."""
 
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
@@ -10,8 +10,10 @@ from daq.core.excitation.procedure import Form, FormValues, Procedure
 from daq.core.excitation.profiles.spectrum_shaping import Lines, equal_amplitudes, equalize, lines_between
 from daq.core.excitation.station import Excitation, Station
 from rig.core.base.arrays import Array
-from rig.core.scene.excitation import Random
+from rig.core.scene.excitation import Random, RandomControl
 from rig.core.scene.excitation.kind import KindOfTest
+
+NoiseT = TypeVar("NoiseT", bound="Random | RandomControl")
 
 # Length of the shaping filter [s]; its frequency resolution is therefore 0.25 Hz.
 _FILTER_S = 4.0
@@ -48,11 +50,23 @@ def _burst_envelope(block: int, burst: float | None, edge: int) -> Array:
     return envelope
 
 
-class RandomProcedure(Procedure["Random"]):
-    """Gaussian noise in a band."""
+class NoiseProcedure(Procedure[NoiseT]):
+    """Gaussian noise of a given duration."""
 
     # The extremes of different parts of the test differ by about 10 %.
     budget = 4.0
+
+    def extension(self, test: NoiseT, seconds: float) -> float:
+        """Return the expected maximum of the whole test over that of its first `seconds`, for Gaussian noise."""
+        # The expected maximum grows with sqrt(log(number of zero crossings)).
+        crossings_per_s = sum(test.band or ())
+        log_whole, log_part = (np.log(max(crossings_per_s * time, 3.0)) for time in (test.duration, seconds))
+        return float(max(np.sqrt(log_whole / log_part), 1.0))
+
+
+class RandomProcedure(NoiseProcedure["Random"]):
+    """Gaussian noise in a band."""
+
     form = Form("random", ("level", "low", "high", "duration"))
 
     def excite(self, station: Station, test: Random) -> Excitation:
@@ -114,13 +128,6 @@ class RandomProcedure(Procedure["Random"]):
     def noise_gain(self, test: Random, frequency: Array) -> Array:
         """Return the ratio of the densities of drive and noise, for a level and a noise density of 1."""
         return np.full(frequency.size, 1.0 / np.sqrt(test.to - test.from_))
-
-    def extension(self, test: Random, seconds: float) -> float:
-        """Return the expected maximum of the whole test over that of its first `seconds`, for Gaussian noise."""
-        # The expected maximum grows with sqrt(log(number of zero crossings)).
-        crossings_per_s = test.from_ + test.to
-        log_whole, log_part = (np.log(max(crossings_per_s * time, 3.0)) for time in (test.duration, seconds))
-        return float(max(np.sqrt(log_whole / log_part), 1.0))
 
     def from_form(self, values: FormValues, test: KindOfTest | None) -> dict[str, Any]:
         """Return noise in the band, with the given rms force."""

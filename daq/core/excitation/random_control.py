@@ -8,11 +8,12 @@ from collections.abc import Generator, Iterable, Sequence
 import numpy as np
 from scipy.special import erfc
 
-from daq.core.excitation.procedure import Form, Procedure
+from daq.core.excitation.procedure import Form
 from daq.core.excitation.profiles.identification import EXPECTED_PERIODS, identify
 from daq.core.excitation.profiles.random_control_check import line_warnings
 from daq.core.excitation.profiles.spectrum_control import SCATTER_DB, AveragedSpectra, NoiseSource, updated
 from daq.core.excitation.profiles.spectrum_shaping import lines_between
+from daq.core.excitation.random import NoiseProcedure
 from daq.core.excitation.station import AbortedTest, Excitation, Station
 from daq.core.signal_chain.channel import ChannelInfo
 from rig.core.base.arrays import Array
@@ -51,8 +52,7 @@ class SpectrumControl:
 
     def identify(self) -> Generator[Array, Array, None]:
         """Identify the responses to the drive; the drive then follows from the profile and the limits."""
-        resolution = self.station.rate / self.period
-        test = self.test
+        test, resolution = self.test, self.station.rate / self.period
         required = np.sqrt(2.0 * test.profile.at(self.frequency) * resolution)
         sums = [float(np.nansum(limit.at(self.frequency))) for limit in test.limits]
         largest = np.sqrt([np.inf] * len(test.control.channels) + [s * resolution if s > 0.0 else np.inf for s in sums])
@@ -60,22 +60,21 @@ class SpectrumControl:
             self.station, self.rows, self.lines, self.period, required, largest, "random control identification"
         )
         self.drive = self._correction(np.abs(identified.gain) ** 2)
-        self._check_output()
-
-    def _check_output(self) -> None:
-        """Abort if the output clips too many samples at full level."""
-        rms = float(np.sqrt(np.sum(self.drive) * self.station.rate / self.period))
+        rms = self._rms(1.0)
         share = float(erfc(self.station.output_limit / (rms * np.sqrt(2.0)))) if rms > 0.0 else 0.0
         if share > _MAX_CLIPPED:
             raise AbortedTest(
                 f"at full level, {100 * share:.0f} % of the drive samples are clipped by the output. Lower the profile."
             )
 
+    def _rms(self, gain: float) -> float:
+        """Return the root mean square of the drive, whose density is multiplied by `gain`."""
+        return float(np.sqrt(np.sum(self.drive) * gain * self.station.rate / self.period))
+
     def run(self, level: float, averages: int) -> Generator[Array, Array, Array]:
         """Output noise at a level in dB for a number of spectra; return the densities, scaled to full level."""
         gain = 10.0 ** (level / 10.0)
-        rms = float(np.sqrt(np.sum(self.drive) * gain * self.station.rate / self.period))
-        limit = min(self.test.clip * rms, self.station.output_limit)
+        limit = min(self.test.clip * self._rms(gain), self.station.output_limit)
         self.spectra.restart()
         while self.spectra.count < averages:
             wave = self.source.next_half(gain * self.drive)
@@ -84,7 +83,16 @@ class SpectrumControl:
             self.spectra.add((yield self.station.drive(np.clip(wave, -limit, limit)))[self.rows])
         return self.spectra.density / gain
 
-    def assess(self, density: Array, level: float) -> float:
+    def step(self, level: float, averages: int) -> Generator[Array, Array, float]:
+        """Output noise as `run`, and correct the drive; return the fraction of lines within the tolerance."""
+        share_run = self.station.now / self.station.rate / max(self.test.shortest, 1e-9)
+        self.station.report(min(share_run, 1.0), f"level {level:g} dB")
+        density = yield from self.run(level, averages)
+        share_within = self._assess(density, level)
+        self.drive = updated(self.drive, self._correction(density), self.test.speed, self.spectra.count)
+        return share_within
+
+    def _assess(self, density: Array, level: float) -> float:
         """Abort if too many lines exceed the abort limit; return the fraction of lines within the tolerance."""
         test, margin = self.test, _OUTSIDE_SIGMAS * SCATTER_DB / np.sqrt(self.spectra.count)
         required = test.decibels(test.required(density, self.frequency))
@@ -104,10 +112,6 @@ class SpectrumControl:
         self.worst = float(deviation[int(np.argmax(np.where(is_notched, 0.0, abs(deviation))))])
         return float(np.mean(within))
 
-    def update(self, density: Array) -> None:
-        """Correct the drive."""
-        self.drive = updated(self.drive, self._correction(density), self.test.speed, self.spectra.count)
-
     def _correction(self, density: Array) -> Array:
         """Return the required change of the drive density."""
         # Limits are reduced by the standard deviation of densities averaged over the test: few lines then exceed them.
@@ -117,21 +121,9 @@ class SpectrumControl:
         return np.asarray(required.min(axis=0))
 
 
-def _step(control: SpectrumControl, level: float, averages: int) -> Generator[Array, Array, float]:
-    """Output noise, assess its densities and update the drive; return the fraction of lines within the tolerance."""
-    test, station = control.test, control.station
-    station.report(min(station.now / station.rate / max(test.shortest, 1e-9), 1.0), f"level {level:g} dB")
-    density = yield from control.run(level, averages)
-    share = control.assess(density, level)
-    control.update(density)
-    return share
-
-
-class RandomControlProcedure(Procedure["RandomControl"]):
+class RandomControlProcedure(NoiseProcedure["RandomControl"]):
     """Noise with profile control."""
 
-    # The extremes of different parts of the test differ by about 10 %.
-    budget = 4.0
     form = Form("random control of the scene", ())
     waits_for_sensors = True
 
@@ -145,7 +137,7 @@ class RandomControlProcedure(Procedure["RandomControl"]):
         for level in test.ramp:
             first, updates = station.now, 0
             while True:
-                share = yield from _step(control, level, averages)
+                share = yield from control.step(level, averages)
                 updates += 1
                 if share >= _MIN_WITHIN and station.now - first >= station.samples(test.hold):
                     break
@@ -156,22 +148,21 @@ class RandomControlProcedure(Procedure["RandomControl"]):
                     )
             station.mark("ramp", first, station.now, level=level, within=round(share, 3))
         first, end, count = station.now, station.now + station.samples(test.duration), averages
-        fields = {"from": test.band[0], "to": test.band[1], "level": test.rms()}
         try:
             while station.now < end:
                 start, remaining = station.now, -(-(end - station.now) // (control.period // 2))
                 if remaining < _FIRST_AVERAGES:
                     yield from control.run(0.0, remaining)
                     break
-                yield from _step(control, 0.0, min(count, remaining))
+                yield from control.step(0.0, min(count, remaining))
                 station.mark("tolerance", start, station.now, outside=control.outside, worst=round(control.worst, 2))
                 count = min(2 * count, test.averages)
         finally:
             # The measurement is marked even if the test ends early.
             if station.now > first:
-                station.mark("measure", first, station.now, **fields)
-        half = control.source.next_half(0.0 * control.drive)
-        yield station.drive(half)
+                band = {"from": test.band[0], "to": test.band[1]}
+                station.mark("measure", first, station.now, **band, level=test.rms())
+        yield station.drive(control.source.next_half(0.0 * control.drive))
         if control.outside:
             station.warn(
                 f"{control.outside} of {control.lines.size} lines are outside the tolerance of {test.tolerance:g} dB "
@@ -194,12 +185,6 @@ class RandomControlProcedure(Procedure["RandomControl"]):
     def stored(self, test: RandomControl) -> float:
         """Return the length of a frame [s]."""
         return 1.0 / test.resolution
-
-    def extension(self, test: RandomControl, seconds: float) -> float:
-        """Return the expected maximum of the whole test over that of its first `seconds`, for Gaussian noise."""
-        crossings_per_s = sum(test.band)
-        log_whole, log_part = (np.log(max(crossings_per_s * time, 3.0)) for time in (test.duration, seconds))
-        return float(max(np.sqrt(log_whole / log_part), 1.0))
 
     def part(self, test: RandomControl, seconds: float, scene: Scene) -> RandomControl:
         """Return a test with the full level only, and a shorter duration."""

@@ -251,11 +251,9 @@ class SineControlProcedure(Procedure["SineControl"]):
         inside = in_band(test, frequency)
         # The sum of the tones in the band is as large as the profile.
         required = np.where(inside, test.profile.at(frequency), 0.0) / np.sqrt(np.sum(inside))
-        largest = [np.nanmin(limit.at(frequency[inside]), initial=np.inf) / np.sqrt(2.0) for limit in test.limits]
-        limits = np.array(
-            [np.inf] * len(test.control.channels) + [value if np.isfinite(value) else np.inf for value in largest]
-        )
-        identified = yield from identify(station, sweep.rows, lines, period, required, limits, "sine control")
+        limits = [np.nanmin(limit.at(frequency[inside]), initial=np.inf) / np.sqrt(2.0) for limit in test.limits]
+        largest = np.array([np.inf] * len(test.control.channels) + limits)
+        identified = yield from identify(station, sweep.rows, lines, period, required, largest, "sine control")
         first, target = station.now, sweep.first_drive(identified, period)
         samples = _window_samples(test.from_, station.rate)
         rise = -(-station.samples(_RISE_S) // samples)

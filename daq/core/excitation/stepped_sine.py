@@ -125,6 +125,10 @@ class SteadyTonesProcedure(Procedure[SteadyT]):
         """Return the expected time of the waits before all measurements [s]."""
         return _tones_of(test) * expected_wait(scene, test.settle.longest)
 
+    def part(self, test: SteadyT, seconds: float, scene: Scene) -> SteadyT:
+        """Return the test at its highest level only."""
+        return KindOfTest.at_level(test, max(test.levels))
+
     def seconds(self, test: SteadyT, part: SteadyT, part_seconds: float) -> float:
         """Return the expected duration of all levels and tones [s]."""
         return part_seconds * _tones_of(test) / _tones_of(part)

@@ -98,7 +98,7 @@ class CurveTone(EnvelopeTone):
             # The force is averaged without the transients before the steady state.
             self._forces.clear()
             windows = 1 if self._force is None else AVERAGED_WINDOWS
-            self.motion = (yield from self.observe(windows * self.window))[0, 0] * self.direction
+            yield from self.observe(windows * self.window)
             if not settled or not self.motion:
                 return None
             point = self.point()

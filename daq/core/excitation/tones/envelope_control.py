@@ -167,28 +167,26 @@ class EnvelopeTone(RepeatingTone):
         return super().amplitudes(readings, phases)
 
     def observe(self, samples: int) -> Generator[Array, Array, ComplexArray]:
-        """Hold the tone for a window; return the amplitudes (tones, quantities), and update the model of the mode."""
+        """Hold the tone for a window; return the amplitudes (tones, quantities), and update motion and mode."""
         amplitudes = yield from super().observe(samples)
-        self._add(amplitudes[0, 0] * self.direction, self.envelope, samples)
+        self.motion = amplitudes[0, 0] * self.direction
+        self._add(self.motion, self.envelope, samples)
         return amplitudes
 
     def steer(self, drive: complex) -> Generator[Array, Array, ComplexArray]:
         """Change the envelope of the drive to `drive` in one control window; return the envelopes of all quantities."""
         samples, start, direction = self.window, self.envelope, self.direction
-        readings = yield self.station.drive(self._steered(samples, drive))
-        envelopes = self.amplitudes(readings, [self._start_phase])[0] * direction
+        target = drive / direction
+        phase = self.phase + 2.0 * np.pi * np.fmod(self.frequency / self.rate * np.arange(samples + 1), 1.0)
+        # The envelope changes along half a cosine.
+        amplitude = self.amplitude + (target - self.amplitude) * half_cosine(samples)[1]
+        turn = float(np.angle(target))
+        self.amplitude, self.direction = abs(target), direction * complex(np.exp(1j * turn))
+        self.phase = float(np.fmod(phase[-1] + turn, 2.0 * np.pi))
+        readings = yield self.station.drive(np.asarray((amplitude * np.exp(1j * phase[:-1])).imag))
+        envelopes = self.amplitudes(readings, [float(phase[0])])[0] * direction
         self._add(envelopes[0], (start + drive) / 2.0, samples)
         return envelopes
-
-    def _steered(self, samples: int, drive: complex) -> Array:
-        """Return the drive during a change to an envelope along half a cosine, shape (samples,)."""
-        target = drive / self.direction
-        phase = self.phase + 2.0 * np.pi * np.fmod(self.frequency / self.rate * np.arange(samples + 1), 1.0)
-        amplitude = self.amplitude + (target - self.amplitude) * half_cosine(samples)[1]
-        self._start_phase, turn = self.phase, float(np.angle(target))
-        self.amplitude, self.direction = abs(target), self.direction * complex(np.exp(1j * turn))
-        self.phase = float(np.fmod(phase[-1] + turn, 2.0 * np.pi))
-        return np.asarray((amplitude * np.exp(1j * phase[:-1])).imag)
 
     def _add(self, motion: complex, drive: complex, samples: int) -> None:
         """Add the mean envelopes of the last window to the model of the mode."""
@@ -224,14 +222,14 @@ class EnvelopeTone(RepeatingTone):
         station = self.station
         end = station.now + station.samples(max_wait_s)
         yield station.drive(self.transition(max(station.samples(transition_s), self.window), frequency, drive))
-        self.motion = (yield from self.observe(self.window))[0, 0] * self.direction
+        yield from self.observe(self.window)
         if not self.motion:
             return False
         self.control = None
-        control = self._control_to(target * self.motion / abs(self.motion))
+        control = self._control_to(target)
         detector, drives = Settling(self._settle.tolerance), deque([self.envelope], maxlen=AVERAGED_WINDOWS)
         while station.now + self.window <= end:
-            envelopes = yield from self.steer(self._next_drive(control))
+            envelopes = yield from self.steer(control.next_drive(self.motion, self._gain))
             self.motion = complex(envelopes[0])
             if abs(self.motion) > _LOST_RATIO * target:
                 self.forget_mode()
@@ -247,25 +245,22 @@ class EnvelopeTone(RepeatingTone):
                 return True
         return False
 
-    def _control_to(self, target: complex) -> EnvelopeControl:
-        """Return the controller whose target is an envelope of the motion."""
-        return EnvelopeControl(target, self.envelope, self.window / self.rate, self.dead_time, self.station.drive_limit)
-
-    def _next_drive(self, control: EnvelopeControl) -> complex:
-        """Return the next drive for the last envelope of the motion."""
-        return control.next_drive(self.motion, self._gain)
+    def _control_to(self, amplitude: float) -> EnvelopeControl:
+        """Return the controller of the motion to an amplitude in m, at its present phase."""
+        target, window = amplitude * self.motion / abs(self.motion), self.window / self.rate
+        return EnvelopeControl(target, self.envelope, window, self.dead_time, self.station.drive_limit)
 
     def hold_envelope(self, samples: int, target: float, feedback: bool) -> Generator[Array, Array, Held]:
         """Measure for at least a number of samples, with constant drive, or with feedback to an amplitude in m."""
         window, motions, drives = self.window, [], []
-        control = self._control_to(target * self.motion / abs(self.motion)) if feedback else None
+        control = self._control_to(target) if feedback else None
         samples = max(samples, min_samples([self.frequency], self.rate))
         self._readings.clear()
         for _ in range(-(-samples // window)):
             if control is None:
-                self.motion = (yield from self.observe(window))[0, 0] * self.direction
+                yield from self.observe(window)
             else:
-                self.motion = complex((yield from self.steer(self._next_drive(control)))[0])
+                self.motion = complex((yield from self.steer(control.next_drive(self.motion, self._gain)))[0])
             motions.append(self.motion)
             drives.append(self.envelope)
         motion, drive = complex(np.mean(motions)), complex(np.mean(drives))

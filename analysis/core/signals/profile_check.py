@@ -4,7 +4,7 @@ Power spectral densities are averages over half-overlapping segments with a Hann
 Electroacoust. 15 (1967) 70), with chi-square intervals.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -263,23 +263,29 @@ def profile(rec: Recording) -> ProfileCheck:
         raise RecordingError(f"{rec.path}: the test did not reach its full level. `daq info` gives the reason.")
     start, stop = measured[-1].first_sample, measured[-1].end + 1
     has_lines = test.resolution is not None
-    frequency, rows, freedom = (_densities if has_lines else _amplitudes)(rec, test, start, stop)
+    names = list(dict.fromkeys(name for _, name in test.named_channels))
+    frequency, values, freedom = (_densities if has_lines else _amplitudes)(rec, test, names, start, stop)
+    # Amplitudes have no degrees of freedom: their interval is NaN.
+    quantiles = freedom / scipy.stats.chi2.ppf([0.975, 0.025], freedom)
     warnings = (
         *(line_warnings(test, rec.scene, rec.channels.values()) if has_lines else ()),
         *_early_overloads(rec, start),
     )
+
+    def level(name: str, limit: Array) -> Level:
+        """Return the motion of a channel."""
+        samples, here = _finite(rec, name, start, stop), values[name]
+        rms, kurtosis = float(np.std(samples)), float(scipy.stats.kurtosis(samples, fisher=False))
+        low, high = here * quantiles[0], here * quantiles[1]
+        rms = _rms(here, frequency) if has_lines else rms
+        return Level(name, rec.channels[name].at, here, low, high, limit, rms, kurtosis)
+
     bound = test.profile.at(frequency)
-    channels = [_level(rec, name, bound, rows[name], start, stop) for name in test.control.channels]
-    limited = [_level(rec, each.channel, each.at(frequency), rows[each.channel], start, stop)
-               for each in test.limits]  # fmt: skip
-    unit = "m/s²" if test.resolution is None else "(m/s²)²/Hz"
-    if test.resolution is not None:
-        channels, limited = (
-            [replace(level, rms=_rms(level.values, frequency)) for level in levels] for levels in (channels, limited)
-        )
-    control = test.control.combined(np.array([level.values for level in channels]))
+    control = test.control.combined(np.array([values[name] for name in test.control.channels]))
     return ProfileCheck(
-        rec.scene.name, unit, frequency, control, bound, tuple(channels), tuple(limited),
+        rec.scene.name, "(m/s²)²/Hz" if has_lines else "m/s²", frequency, control, bound,
+        tuple(level(name, bound) for name in test.control.channels),
+        tuple(level(limit.channel, limit.at(frequency)) for limit in test.limits),
         test.tolerance, test.abort, freedom, warnings,
     )  # fmt: skip
 
@@ -301,57 +307,48 @@ def _early_overloads(rec: Recording, start: int) -> list[str]:
 
 
 def _densities(
-    rec: Recording, test: ProfileControl, start: int, stop: int
-) -> tuple[Array, dict[str, tuple[Array, Array, Array]], float]:
-    """Return frequencies, the density of each channel with its 95 % interval, and the degrees of freedom."""
+    rec: Recording, test: ProfileControl, names: Sequence[str], start: int, stop: int
+) -> tuple[Array, dict[str, Array], float]:
+    """Return frequencies, the density of each channel, and the degrees of freedom."""
     assert test.resolution is not None
     size = min(2 * max(2, round(rec.rate / test.resolution / 2.0)), stop - start)
     low, high = test.profile.frequencies[0], test.profile.frequencies[-1]
-    rows: dict[str, tuple[Array, Array, Array]] = {}
     lines = np.asarray(np.fft.rfftfreq(size, 1.0 / rec.rate), dtype=np.float64)
     inside = (lines >= low - 1e-9 * high) & (lines <= high * (1.0 + 1e-9))
     segments = max(1, (stop - start) // (size // 2) - 1)
-    freedom = 2.0 * max(1.0, _INDEPENDENT_RATIO * segments)
-    quantiles = freedom / scipy.stats.chi2.ppf([0.975, 0.025], freedom)
-    for name in dict.fromkeys(name for _, name in test.named_channels):
+    densities = {}
+    for name in names:
         density = scipy.signal.welch(_finite(rec, name, start, stop), rec.rate, "hann", size, size // 2)[1][inside]
-        values = density * _power_factor(rec.channels[name], lines[inside])
-        rows[name] = values, values * quantiles[0], values * quantiles[1]
-    return lines[inside], rows, freedom
+        densities[name] = density * _power_factor(rec.channels[name], lines[inside])
+    return lines[inside], densities, 2.0 * max(1.0, _INDEPENDENT_RATIO * segments)
 
 
 def _amplitudes(
-    rec: Recording, test: ProfileControl, start: int, stop: int
-) -> tuple[Array, dict[str, tuple[Array, Array, Array]], float]:
-    """Return frequencies, the amplitude of each channel in windows of some periods without an interval, and 0."""
+    rec: Recording, test: ProfileControl, names: Sequence[str], start: int, stop: int
+) -> tuple[Array, dict[str, Array], float]:
+    """Return frequencies, the amplitude of each channel in windows of some periods, and 0."""
     # The phase of the tone is computed from the sweep except for a constant, which does not change the amplitude.
     sweep = rec.scene.test
     assert sweep is not None
     total, samples = round(sweep.shortest * rec.rate), stop - start
-    phase = sweep.wave(samples, rec.rate)
-    assert isinstance(phase, Chirp)
-    first, frequency, bounds = 0, list[float](), list[tuple[int, int]]()
-    while first < min(samples, total):
-        length = round(_PERIODS * observation_samples(float(phase.frequency[first]), rec.rate) / 2.0)
-        if first + length > samples:
-            break
-        bounds.append((start + first, start + first + length))
-        frequency.append(float(phase.frequency[first + length // 2]))
-        first += length
-    names, middle = list(dict.fromkeys(name for _, name in test.named_channels)), np.array(frequency)
-    if not bounds:
+    tone = sweep.wave(samples, rec.rate)
+    assert isinstance(tone, Chirp)
+    end, windows = 0, list[slice]()
+    while end < min(samples, total):
+        first, end = end, end + round(_PERIODS * observation_samples(float(tone.frequency[end]), rec.rate) / 2.0)
+        windows += [slice(first, end)] if end <= samples else []
+    if not windows:
         raise RecordingError(f"{rec.path}: the sweep is shorter than {_PERIODS:g} periods. Record a longer sweep.")
-    values = np.empty((len(names), middle.size))
-    for k, segment in enumerate(read_slices(rec, names, bounds)):
-        begin = bounds[k][0] - start
-        tone = phase.phase[begin : begin + segment.shape[1]]
-        values[:, k] = abs(estimate_amplitudes(segment, tone, rec.rate)[0])
-    order, none = np.argsort(middle), np.full(middle.size, np.nan)
-    rows: dict[str, tuple[Array, Array, Array]] = {}
-    for name, row in zip(names, values, strict=True):
-        amplitude = row * np.sqrt(_power_factor(rec.channels[name], middle))
-        rows[name] = amplitude[order], none, none
-    return middle[order], rows, 0.0
+    segments = read_slices(rec, names, [(start + window.start, start + window.stop) for window in windows])
+    values = np.array([
+        abs(estimate_amplitudes(segment, tone.phase[window], rec.rate)[0])
+        for window, segment in zip(windows, segments, strict=True)
+    ])  # fmt: skip
+    frequency = np.array([tone.frequency[(window.start + window.stop) // 2] for window in windows])
+    order = np.argsort(frequency)
+    values, frequency = values[order], frequency[order]
+    factors = (np.sqrt(_power_factor(rec.channels[name], frequency)) for name in names)
+    return frequency, {name: row * factor for name, row, factor in zip(names, values.T, factors, strict=True)}, 0.0
 
 
 def _rms(density: Array, frequency: Array) -> float:
@@ -372,10 +369,3 @@ def _power_factor(info: ChannelInfo, frequency: Array) -> Array:
     """Return the square of the ratio of acceleration amplitude to amplitude of a reading."""
     order = 2 - (info.derivative or 0)
     return np.asarray(abs((2.0 * np.pi * frequency) ** order / info.response(frequency)) ** 2)
-
-
-def _level(rec: Recording, name: str, bound: Array, rows: tuple[Array, Array, Array], start: int, stop: int) -> Level:
-    """Return the motion of a channel."""
-    samples = _finite(rec, name, start, stop)
-    rms, kurtosis = float(np.std(samples)), float(scipy.stats.kurtosis(samples, fisher=False))
-    return Level(name, rec.channels[name].at, *rows, bound, rms, kurtosis)

@@ -4,7 +4,7 @@ import numpy as np
 import yaml
 
 import rig
-from daq.core.excitation.profiles.sine_control_check import check_sweep
+from daq.core.excitation.profiles.profile_checks import check_sweep
 from daq.core.virtual_bench.bench import Bench
 from rig.core.system.assembly import assemble
 from rig.core.system.open_loop_drive import riding_response

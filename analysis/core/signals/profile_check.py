@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from analysis.core.recordings.names import takes_path
 from analysis.core.recordings.slices import interpolated, read_slices
-from daq.core.excitation.profiles.random_control_check import line_warnings
+from daq.core.excitation.profiles.profile_checks import line_warnings
 from daq.core.excitation.profiles.sweep_control import estimate_amplitudes, observation_samples
 from daq.core.recording.recording import Recording
 from daq.core.signal_chain.channel import ChannelInfo
@@ -27,8 +27,7 @@ from rig.core.numerics.runs import runs_of
 from rig.core.results import Result, complete_style, format_frequencies
 from rig.core.results.table import Table
 from rig.core.scene.excitation.kind import Chirp
-from rig.core.scene.excitation.profile import limits_drive
-from rig.core.scene.excitation.profile_control import ProfileControl
+from rig.core.scene.excitation.profile import ProfileControl, limits_drive
 
 # Distance from its limit below which a channel limits the drive [dB], if the control channels are below the profile.
 _NOTCH_DB = 1.5

@@ -12,8 +12,7 @@ from daq.core.excitation.lock_in import whole_periods
 from daq.core.excitation.procedure import Form, FormValues
 from daq.core.excitation.station import AbortedTest, Excitation, Station
 from daq.core.excitation.stepped_sine import SteadyTonesProcedure
-from daq.core.excitation.tones.phase_loop import PhaseLoop
-from daq.core.excitation.tones.phase_plant import loop_settings
+from daq.core.excitation.tones.phase_loop import PhaseLoop, loop_settings
 from daq.core.excitation.tones.repeating_tone import RepeatingTone
 from daq.core.excitation.tones.settling import Settling
 from daq.core.excitation.tones.steady_tone import TRANSITION_S, WINDOW_S

@@ -10,7 +10,7 @@ from scipy.special import erfc
 
 from daq.core.excitation.procedure import Form
 from daq.core.excitation.profiles.identification import EXPECTED_PERIODS, identify
-from daq.core.excitation.profiles.random_control_check import line_warnings
+from daq.core.excitation.profiles.profile_checks import line_warnings
 from daq.core.excitation.profiles.spectrum_control import SCATTER_DB, AveragedSpectra, NoiseSource, updated
 from daq.core.excitation.profiles.spectrum_shaping import lines_between
 from daq.core.excitation.random import NoiseProcedure

@@ -2,7 +2,7 @@
 
 After each window, the drive amplitude d changes by ln d += gain * clip(ln ratio), where the ratio is the smallest of
 profile / control and limit / response of the limited channels (notching; S. Ricci, B. Peeters, R. Fetter, D. Boland,
-J. Debille, Virtual shaker testing, IMAC 2009). `sine_control_check.py` contains the stability of this loop.
+J. Debille, Virtual shaker testing, IMAC 2009). `profile_checks.py` contains the stability of this loop.
 """
 
 from collections.abc import Generator, Iterable, Sequence
@@ -13,7 +13,7 @@ import numpy as np
 
 from daq.core.excitation.procedure import Form, Procedure
 from daq.core.excitation.profiles.identification import EXPECTED_PERIODS, Identified, identify
-from daq.core.excitation.profiles.sine_control_check import (
+from daq.core.excitation.profiles.profile_checks import (
     OBSERVATION_PERIODS,
     WINDOW_PERIODS,
     check_sweep,

@@ -14,8 +14,7 @@ import daq
 import rig
 from analysis.commands.cli import app
 from analysis.commands.report_page.report import write_report
-from daq.core.excitation.tones.phase_loop import PhaseLoop
-from daq.core.excitation.tones.phase_plant import LoopSettings, loop_settings
+from daq.core.excitation.tones.phase_loop import LoopSettings, PhaseLoop, loop_settings
 from rig.core.base.errors import RecordingError, RunError, SceneError
 from rig.core.system.structural_model import structural_model
 from tests.daq.excitation.virtual_device import run_device

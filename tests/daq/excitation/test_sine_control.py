@@ -12,7 +12,7 @@ import analysis
 import daq
 import rig
 from analysis.commands.cli import app
-from daq.core.excitation.profiles.sine_control_check import loop_gain
+from daq.core.excitation.profiles.profile_checks import loop_gain
 from daq.core.excitation.sine_control import Caution, limited_error
 from rig.core.base.errors import SceneError
 from tests.daq.excitation.virtual_device import run_device

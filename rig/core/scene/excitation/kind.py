@@ -13,8 +13,7 @@ from pydantic import Field
 
 from rig.core.base.arrays import Array
 from rig.core.scene.body_names import body_problems
-from rig.core.scene.excitation.profile import range_text
-from rig.core.scene.excitation.profile_control import ProfileControl
+from rig.core.scene.excitation.profile import ProfileControl, range_text
 from rig.core.scene.shaker import Shaker, as_tuple
 from rig.core.settings.problems import KeyPath, Problem
 from rig.core.settings.quantities import ACCELERATION, FORCE, FREQUENCY, LENGTH, RATIO, TIME, VOLTAGE

@@ -11,11 +11,10 @@ from rig.core.scene.excitation.profile import (
     Decibels,
     DensityLimit,
     DensityProfile,
+    ProfileControl,
     Ramp,
     Share,
-    from_decibels,
 )
-from rig.core.scene.excitation.profile_control import ProfileControl
 from rig.core.scene.shaker import Shaker
 from rig.core.settings.problems import KeyPath
 from rig.core.settings.quantities import RATIO
@@ -87,8 +86,8 @@ class RandomControl(ProfileControl, KindOfTest):
         """Spacing of the spectral lines [Hz]."""
         return (self.band[1] - self.band[0]) / self.lines
 
-    def rms(self, level: float = 0.0) -> float:
-        """Return the root mean square acceleration of the profile at a level in dB, m/s²."""
+    def rms(self) -> float:
+        """Return the root mean square acceleration of the profile [m/s²]."""
         # Ten points per line, because the profile is a power law between its breakpoints, not a straight line.
         frequency = np.linspace(*self.band, 10 * self.lines + 1)
-        return from_decibels(level) * float(np.sqrt(np.trapezoid(self.profile.at(frequency), frequency)))
+        return float(np.sqrt(np.trapezoid(self.profile.at(frequency), frequency)))

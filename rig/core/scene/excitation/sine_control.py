@@ -4,8 +4,7 @@ from collections.abc import Iterable
 from typing import Annotated, ClassVar, Literal
 
 from rig.core.scene.excitation.kind import DrivenShaker
-from rig.core.scene.excitation.profile import Control, Decibels, MotionLimit, MotionProfile
-from rig.core.scene.excitation.profile_control import ProfileControl
+from rig.core.scene.excitation.profile import Control, Decibels, MotionLimit, MotionProfile, ProfileControl
 from rig.core.scene.excitation.swept_sine import FrequencySweep
 from rig.core.scene.shaker import Shaker
 from rig.core.settings.problems import Problem

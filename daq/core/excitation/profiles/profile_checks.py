@@ -1,13 +1,16 @@
-"""Check of a sine test with profile control before the test: deviations from the profile, and bands of the limits.
+"""Checks before a test with profile control, from the linear response of the scene with all dampers on their floors.
 
-The drive amplitude d is changed after each window by ln d += gain * ln(required / measured amplitude). An integrator
-with a delay of m windows is stable for a gain below 2 sin(pi / (2 (2m + 1))). The changing drive has sidebands about
-the tone. At an antiresonance, or near a resonance, the structure amplifies the sidebands by a ratio R relative to the
-tone. Where R is large, the loop gain, gain R / (2 sin(pi T f)) at the distance f of the sidebands, must be below 1. In
-a sweep, the logarithmic deviation at a resonance with the damping ratio D and the decay rate d is S (T / gain + 1 / d)
-/ (2 D), for the relative sweep rate S and the window T. The check uses the slope of the required drive, whose largest
-value is 1 / (2 D). Sidebands of a tone at an end of the band lie outside the band, so the response is also needed
-there.
+The check of noise reports lines that do not resolve a resonance, and limits that end next to a resonance. The check of
+a sine computes deviations from the profile, and bands of the limits.
+
+The drive amplitude d of a sine is changed after each window by ln d += gain * ln(required / measured amplitude). An
+integrator with a delay of m windows is stable for a gain below 2 sin(pi / (2 (2m + 1))). The changing drive has
+sidebands about the tone. At an antiresonance, or near a resonance, the structure amplifies the sidebands by a ratio R
+relative to the tone. Where R is large, the loop gain, gain R / (2 sin(pi T f)) at the distance f of the sidebands, must
+be below 1. In a sweep, the logarithmic deviation at a resonance with the damping ratio D and the decay rate d is S (T /
+gain + 1 / d) / (2 D), for the relative sweep rate S and the window T. The check uses the slope of the required drive,
+whose largest value is 1 / (2 D). Sidebands of a tone at an end of the band lie outside the band, so the response is
+also needed there.
 """
 
 from collections.abc import Iterable, Sequence
@@ -21,6 +24,7 @@ from daq.core.signal_chain.channel import ChannelInfo
 from rig.core.base.arrays import Array
 from rig.core.numerics.runs import runs_of
 from rig.core.scene.excitation import SineControl
+from rig.core.scene.excitation.profile import ProfileControl
 from rig.core.scene.scene import Scene
 from rig.core.system.open_loop_drive import accelerations_per_drive
 
@@ -36,6 +40,13 @@ _MIN_RESONANCE_AMPLIFICATION = 1.25
 _SLOPE_SEARCH_RATIO = 0.05
 # Number of frequencies at which the slope of the drive is computed, several for each half-power width.
 _N_FREQUENCIES = 2000
+# Largest change of the drive density from line to line [dB]: the largest slope at a resonance, 20 / ln(10) dB over half
+# of its half-power width, if the width contains two lines.
+_MAX_STEP_DB = 8.69 / 2.0
+# Number of frequencies per line, so the peak between two lines is resolved.
+_OVERSAMPLING = 8
+# Largest reduction of the drive density by a limit at its end [dB].
+_MAX_END_DB = 3.0
 # The response is computed in a band that is wider than that of the test by this factor at each end: sidebands farther
 # from the tone have a negligible effect on an observation.
 _BAND_MARGIN = 1.15
@@ -166,3 +177,33 @@ def check_sweep(test: SineControl, scene: Scene, channels: Sequence[ChannelInfo]
     near = abs(np.log(frequency / frequency[worst])) < _SLOPE_SEARCH_RATIO
     damping = 0.5 / max(float(slopes[near].max()), 1e-12)
     return SweepCheck(test, float(frequency[worst]), max(deviations), damping, tuple(notches))
+
+
+def line_warnings(test: ProfileControl, scene: Scene, channels: Iterable[ChannelInfo]) -> Iterable[str]:
+    """Yield warnings from the linear response with resting dampers; `test`: one with densities."""
+    assert test.resolution is not None
+    low, high = test.profile.frequencies[0], test.profile.frequencies[-1]
+    count = round((high - low) / test.resolution)
+    frequency, places = np.linspace(low, high, _OVERSAMPLING * count + 1), {info.name: info.at for info in channels}
+    amplitudes = accelerations_per_drive(scene, [places[name] for _, name in test.named_channels], 2.0 * pi * frequency)
+    required = test.decibels(test.required(amplitudes**2, frequency))
+    # Where another channel begins to determine the drive, its density may jump.
+    determining, drive = required.argmin(axis=0), required.min(axis=0)
+    steps = _OVERSAMPLING * np.where(np.diff(determining) == 0, abs(np.diff(drive)), 0.0)
+    worst = int(np.argmax(steps))
+    if steps[worst] > _MAX_STEP_DB:
+        yield (
+            f"near {frequency[worst]:.4g} Hz the drive density changes by {steps[worst]:.1f} dB from line to line: the "
+            "lines do not resolve the response, and channels deviate between them. Give test.lines of "
+            f"{ceil(count * steps[worst] / _MAX_STEP_DB)} or more."
+        )
+    for limit, row in zip(test.limits, required[1:], strict=True):
+        inside = np.flatnonzero(np.isfinite(row))
+        for end in (int(inside[0]), int(inside[-1])) if inside.size else ():
+            reduction = float(required[0, end] - row[end])
+            if 0 < end < frequency.size - 1 and reduction > _MAX_END_DB:
+                yield (
+                    f"the limit of {limit.channel} ends at {frequency[end]:.4g} Hz, where it reduces the drive density "
+                    f"by {reduction:.1f} dB: beyond this frequency, the channel exceeds the limit. Extend the "
+                    "limit beyond the resonance."
+                )

@@ -39,6 +39,7 @@ _PERIODS_OF_LOCK = 400.0
 class _Window(NamedTuple):
     """Amplitudes in a window, and the phase of the displacement relative to the force."""
 
+    frequency: float  # of the tone [Hz]
     motion: complex  # m
     force: complex  # N
     phase: float  # rad
@@ -62,50 +63,44 @@ class _PhaseTone(RepeatingTone):
             -1j * self.amplitude if quantity is None else complex(quantity.amplitudes(readings, *tone)[0])
             for quantity in self._quantities
         )
-        return _Window(motion, force, float(np.angle(motion / force)) if force else 0.0)
+        return _Window(self.frequency, motion, force, float(np.angle(motion / force)) if force else 0.0)
 
-    def lock(self) -> Generator[Array, Array, tuple[bool, complex]]:
+    def lock(self) -> Generator[Array, Array, tuple[bool, float]]:
         """Lock the phase by the frequency; return whether it is locked and steady, and the amplitude of the force."""
         detector, test = Settling(self._test.settle.tolerance), self._test
-        windows, frequencies = deque[_Window](maxlen=_LOCKED_WINDOWS), deque[float](maxlen=_LOCKED_WINDOWS)
+        windows = deque[_Window](maxlen=_LOCKED_WINDOWS)
         loop = self.loop = PhaseLoop(self.frequency, test.from_, test.to, test.phase, test.tolerance, self._settings)
         end = self.station.now + self.station.samples(test.settle.longest)
         while self.station.now < end:
             samples = whole_periods(self.frequency, self.rate, WINDOW_S * loop.settings.slowness)
             window = yield from self.window_of(samples)
             windows.append(window)
-            frequencies.append(self.frequency)
             if window.force:
                 # The frequency of the tone changes the phases of the amplitudes; only their ratio is steady.
                 detector.add(np.array([window.motion / window.force * abs(window.force), abs(window.force) + 0j]))
             mean_error = float(np.mean([loop.error(each.phase) for each in windows]))
-            if (
-                detector.settled
-                and len(windows) == _LOCKED_WINDOWS
-                and abs(mean_error) < _LOCKED_RATIO * test.tolerance
-            ):
-                self.frequency = float(np.mean(frequencies))
-                return True, complex(np.mean([abs(each.force) for each in windows]))
+            is_locked = len(windows) == _LOCKED_WINDOWS and abs(mean_error) < _LOCKED_RATIO * test.tolerance
+            if detector.settled and is_locked:
+                self.frequency = float(np.mean([each.frequency for each in windows]))
+                return True, float(np.mean([abs(each.force) for each in windows]))
             self._settings = loop.settings
             dead_time = (1.5 * samples + self.station.latency) / self.rate
             self.frequency = loop.next_frequency(window.phase, samples / self.rate, dead_time)
-        return False, windows[-1].force if windows else 0j
+        return False, abs(windows[-1].force) if windows else 0.0
 
-
-def _failure(station: Station, test: PhaseResonance, tone: _PhaseTone, level: float, measured: _Window) -> str:
-    """Describe why a level has no lock."""
-    quantity = measured_force(station)
-    count = None if quantity is None else station.channels[quantity.rows[0]].unit_per_count
-    at_level = f"level {station.level_text(level)}"
-    if quantity is not None and count is not None and quantity.factors == (1.0,):
-        counts = abs(measured.force) / count
-        if counts < _MIN_COUNTS:
-            return f"{at_level}: the force is {counts:.2g} counts of the converter. Use a more sensitive force sensor."
-    return (
-        f"{at_level}: no lock within {test.settle.longest:g} s: the phase is {math.degrees(measured.phase):.0f}° at "
-        f"{tone.frequency:.4g} Hz. No resonance lies between {test.from_:g} and {test.to:g} Hz, the damping falls too "
-        "fast with the amplitude (test constant_response), or the motion is irregular."
-    )
+    def failure(self, measured: _Window) -> str:
+        """Describe why a level has no lock."""
+        test, (_, quantity) = self._test, self._quantities
+        count = None if quantity is None else self.station.channels[quantity.rows[0]].unit_per_count
+        if quantity is not None and count is not None and quantity.factors == (1.0,):
+            counts = abs(measured.force) / count
+            if counts < _MIN_COUNTS:
+                return f"the force is {counts:.2g} counts of the converter. Use a more sensitive force sensor."
+        return (
+            f"no lock within {test.settle.longest:g} s: the phase is {math.degrees(measured.phase):.0f}° at "
+            f"{self.frequency:.4g} Hz. No resonance lies between {test.from_:g} and {test.to:g} Hz, the damping falls "
+            "too fast with the amplitude (test constant_response), or the motion is irregular."
+        )
 
 
 class PhaseResonanceProcedure(SteadyTonesProcedure["PhaseResonance"]):
@@ -121,8 +116,8 @@ class PhaseResonanceProcedure(SteadyTonesProcedure["PhaseResonance"]):
         frequency, drive = test.frequency, 0.0
         yield from tone.measure_noise()
         for number, level in enumerate(test.levels):
-            status = f"level {station.level_text(level)}, {format_decimals(tone.frequency, 3)} Hz"
-            station.report(number / len(test.levels), status)
+            at_level = f"level {station.level_text(level)}"
+            station.report(number / len(test.levels), f"{at_level}, {format_decimals(tone.frequency, 3)} Hz")
             first_drive = tone.start(level)
             drive = first_drive if not number or not station.is_controlled else drive * level / test.levels[number - 1]
             first = station.now
@@ -130,14 +125,13 @@ class PhaseResonanceProcedure(SteadyTonesProcedure["PhaseResonance"]):
             locked = False
             for _ in range(_MAX_DRIVES):
                 locked, force = yield from tone.lock()
-                if not locked or tone.control is None or tone.control.is_at_level(abs(force)):
+                if not locked or tone.control is None or tone.control.is_at_level(force):
                     break
-                locked, drive = False, tone.control.next_drive(tone.amplitude, abs(force))
+                locked, drive = False, tone.control.next_drive(tone.amplitude, force)
                 yield station.drive(tone.transition(station.samples(TRANSITION_S), tone.frequency, drive))
             fields: dict[str, Any] = {"level": level, "direction": "up"}
-            begin = station.now
             station.mark(
-                "settle", first, begin, drive=tone.amplitude, settled=locked, frequency=tone.frequency, **fields
+                "settle", first, station.now, drive=tone.amplitude, settled=locked, frequency=tone.frequency, **fields
             )
             for attempt in range(_MAX_LOCKS):
                 begin = station.now
@@ -150,22 +144,15 @@ class PhaseResonanceProcedure(SteadyTonesProcedure["PhaseResonance"]):
                 locked, _ = yield from tone.lock()
             repetition = tone.repetition(tone.samples, abs(measured.motion))
             station.mark(
-                "measure",
-                begin,
-                station.now,
-                drive=tone.amplitude,
-                force=abs(measured.force),
-                settled=locked and repetition > 0,
-                frequency=tone.frequency,
-                phase=measured.phase,
-                repetition=repetition,
-                **fields,
-            )
+                "measure", begin, station.now, drive=tone.amplitude, force=abs(measured.force),
+                settled=locked and repetition > 0, frequency=tone.frequency, phase=measured.phase,
+                repetition=repetition, **fields,
+            )  # fmt: skip
             if locked:
                 frequency, drive = tone.frequency, tone.amplitude
                 tone.add_repetition(level, repetition)
             else:
-                failures.append(_failure(station, test, tone, level, measured))
+                failures.append(f"{at_level}: {tone.failure(measured)}")
         yield tone.end()
         if len(failures) == len(test.levels):
             raise AbortedTest(failures[0])

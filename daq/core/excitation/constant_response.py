@@ -14,7 +14,7 @@ from daq.core.excitation import stepped_sine
 from daq.core.excitation.controlled import controlled
 from daq.core.excitation.procedure import Form, FormValues
 from daq.core.excitation.station import AbortedTest, Excitation, Station
-from daq.core.excitation.stepped_sine import StepsProcedure
+from daq.core.excitation.stepped_sine import SteadyTonesProcedure
 from daq.core.excitation.tones.envelope_control import MAX_POLE_TIMES_DEAD_TIME, EnvelopeTone
 from rig.core.base.arrays import Array
 from rig.core.scene.excitation import ConstantResponse
@@ -96,7 +96,7 @@ class HeldMotion(EnvelopeTone):
         self.mark_measured(first, held, settled, **fields)
 
 
-class ConstantResponseProcedure(StepsProcedure["ConstantResponse"]):
+class ConstantResponseProcedure(SteadyTonesProcedure["ConstantResponse"]):
     """Tones at which a motion has a constant amplitude."""
 
     form = Form("constant response", ("low", "high"))

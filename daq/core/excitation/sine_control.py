@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from daq.core.excitation.procedure import Form, Procedure
+from daq.core.excitation.procedure import Form
 from daq.core.excitation.profiles.identification import EXPECTED_PERIODS, Identified, identify
 from daq.core.excitation.profiles.profile_checks import (
     OBSERVATION_PERIODS,
@@ -27,6 +27,7 @@ from daq.core.excitation.profiles.profile_checks import (
 from daq.core.excitation.profiles.spectrum_shaping import lines_between
 from daq.core.excitation.profiles.sweep_control import estimate_amplitudes, observation_samples
 from daq.core.excitation.station import AbortedTest, Excitation, Station
+from daq.core.excitation.swept_sine import SweepProcedure
 from daq.core.signal_chain.channel import ChannelInfo
 from rig.core.base.arrays import Array
 from rig.core.numerics.runs import runs_of
@@ -66,8 +67,6 @@ _RECOVERY_EXPONENT = 0.95
 _MIN_GAIN_FACTOR = 0.02
 # An error is the next extreme of an oscillation if its magnitude exceeds this fraction of the last extreme.
 _MIN_SWING = 0.25
-# CPU time of each period [s], measured on one core of 2 GHz.
-_PERIOD_CPU_S = 0.3e-3
 
 
 class Observation(NamedTuple):
@@ -229,9 +228,10 @@ def _window_samples(frequency: float, rate: float) -> int:
     return max(_MIN_WINDOW_SAMPLES, round(WINDOW_PERIODS * rate / frequency))
 
 
-class SineControlProcedure(Procedure["SineControl"]):
+class SineControlProcedure(SweepProcedure["SineControl"]):
     """A sweep with profile control."""
 
+    period_cpu_s = 0.3e-3
     form = Form("sine control of the scene", ())
     waits_for_sensors = True
 
@@ -293,10 +293,6 @@ class SineControlProcedure(Procedure["SineControl"]):
         """Return the expected time of the identification and of the start [s]."""
         return EXPECTED_PERIODS * _identification_seconds(test) + 2.0 * _RISE_S + _START_WINDOWS / test.from_
 
-    def control_seconds(self, test: SineControl) -> float:
-        """Return the CPU time of the controller, which works in each period [s]."""
-        return _PERIOD_CPU_S * (test.from_ + test.to) / 2.0 * test.duration
-
     def part(self, test: SineControl, seconds: float, scene: Scene) -> SineControl:
         """Return a shorter sweep over the first resonance, at the same sweep rate."""
         low, high = test.band
@@ -307,10 +303,6 @@ class SineControlProcedure(Procedure["SineControl"]):
         start = min(max(center - half, 0.0), 1.0 - 2.0 * half)
         ends = {"from_": float(test.frequency_at(start)), "to": float(test.frequency_at(start + 2.0 * half))}
         return test.replace(**ends, duration=2.0 * half * test.duration)
-
-    def frequency_at(self, test: SineControl, fraction: float) -> float:
-        """Return the frequency at a fraction, 0 to 1, of the sweep [Hz]."""
-        return float(test.frequency_at(fraction))
 
 
 PROCEDURE = SineControlProcedure()

@@ -23,7 +23,6 @@ from rig.core.scene.scene import Scene
 from rig.core.system.structural_model import structural_model
 
 SteadyT = TypeVar("SteadyT", bound="SteppedTest | PhaseResonance | Continuation")
-StepsT = TypeVar("StepsT", bound="SteppedTest")
 
 # An extrapolated drive is used if the logarithm of its ratio to the last drive is at most this value. Otherwise the
 # last drive is used again.
@@ -133,22 +132,17 @@ class SteadyTonesProcedure(Procedure[SteadyT]):
         """Return the expected duration of all levels and tones [s]."""
         return part_seconds * _tones_of(test) / _tones_of(part)
 
+    def periods_of_step(self, test: SteadyT) -> int:
+        """Return the number of measured periods of each dwell."""
+        return int(test.measure.periods)
+
 
 def _tones_of(test: KindOfTest) -> int:
     """Return the number of tones of all levels."""
     return len(test.levels) * len(test.dwells or test.given_frequencies)
 
 
-class StepsProcedure(SteadyTonesProcedure[StepsT]):
-    """A series of tones of given frequencies."""
-
-    def periods_of_step(self, test: StepsT) -> int:
-        """Return the number of measured periods of each dwell."""
-        periods: int = test.measure.periods
-        return periods
-
-
-class SteppedSineProcedure(StepsProcedure["SteppedSine"]):
+class SteppedSineProcedure(SteadyTonesProcedure["SteppedSine"]):
     """Tones of constant force or drive."""
 
     rehearsal = "peaks"

@@ -9,7 +9,7 @@ resonance then contains fewer periods than the identification of its mode requir
 """
 
 from collections.abc import Generator
-from typing import Any
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 
@@ -28,6 +28,9 @@ from rig.core.base.arrays import Array, ComplexArray
 from rig.core.results.text import format_decimals, format_percent
 from rig.core.scene.excitation import SweptSine
 from rig.core.scene.excitation.kind import KindOfTest
+from rig.core.scene.excitation.swept_sine import FrequencySweep
+
+SweepT = TypeVar("SweepT", bound=FrequencySweep)
 
 # Number of periods between updates of the drive for a controlled force; fewer do not determine the amplitude.
 _WINDOW_PERIODS = 0.5
@@ -43,8 +46,6 @@ _MAX_WAIT_S = 60.0
 ALLOWED_DEVIATION = 0.1
 # Two intervals of excessive deviation are merged if the gap between them is shorter than this value [s].
 _MIN_GAP_S = 0.5
-# CPU time of each period of a sweep with controlled force [s], measured on one core of 2 GHz.
-_CONTROLLED_PERIOD_CPU_S = 1.2e-3
 # Remedy if the channels do not measure the force.
 _SENSITIVITY_HINT = "Choose more sensitive sensors, a smaller converter.range, or more force."
 
@@ -158,9 +159,24 @@ def _phase(test: SweptSine, start_phase: float, completed: int, window: int, tot
     return start_phase + 2 * np.pi * test.periods_at(np.arange(completed, completed + window) / total)
 
 
-class SweptSineProcedure(Procedure["SweptSine"]):
-    """A sine whose frequency sweeps."""
+class SweepProcedure(Procedure[SweepT]):
+    """A sine whose frequency sweeps; `period_cpu_s`: CPU time of a controlled period on one core of 2 GHz [s]."""
 
+    period_cpu_s: ClassVar[float]
+
+    def control_seconds(self, test: SweepT) -> float:
+        """Return the CPU time of the controller, which works in each period [s]."""
+        return self.period_cpu_s * (test.from_ + test.to) / 2.0 * test.duration
+
+    def frequency_at(self, test: SweepT, fraction: float) -> float:
+        """Return the frequency at a fraction, 0 to 1, of the sweep [Hz]."""
+        return float(test.frequency_at(fraction))
+
+
+class SweptSineProcedure(SweepProcedure["SweptSine"]):
+    """A sweep of constant force or drive."""
+
+    period_cpu_s = 1.2e-3
     rehearsal = "peaks"
     form = Form("sweep", ("level", "low", "high", "duration"))
 
@@ -218,14 +234,6 @@ class SweptSineProcedure(Procedure["SweptSine"]):
         if test.spacing == "log":
             rate = frequency * abs(np.log(test.to / test.from_)) / test.duration
         return np.asarray(np.sqrt(1.0 / np.sqrt(rate) / 2.0))
-
-    def control_seconds(self, test: SweptSine) -> float:
-        """Return the CPU time of the controller [s] which works in each period."""
-        return _CONTROLLED_PERIOD_CPU_S * (test.from_ + test.to) / 2 * test.duration
-
-    def frequency_at(self, test: SweptSine, fraction: float) -> float:
-        """Return the frequency at a fraction, 0 to 1, of the sweep [Hz]."""
-        return float(test.frequency_at(fraction))
 
     def from_form(self, values: FormValues, test: KindOfTest | None) -> dict[str, Any]:
         """Return a sweep over the band, with the given force."""

@@ -56,10 +56,10 @@ class SpectrumControl:
         required = np.sqrt(2.0 * test.profile.at(self.frequency) * resolution)
         sums = [float(np.nansum(limit.at(self.frequency))) for limit in test.limits]
         largest = np.sqrt([np.inf] * len(test.control.channels) + [s * resolution if s > 0.0 else np.inf for s in sums])
-        identified = yield from identify(
+        gain, _ = yield from identify(
             self.station, self.rows, self.lines, self.period, required, largest, "random control identification"
         )
-        self.drive = self._correction(np.abs(identified.gain) ** 2)
+        self.drive = self._correction(np.abs(gain) ** 2)
         rms = self._rms(1.0)
         share = float(erfc(self.station.output_limit / (rms * np.sqrt(2.0)))) if rms > 0.0 else 0.0
         if share > _MAX_CLIPPED:

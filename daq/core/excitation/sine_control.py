@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from daq.core.excitation.procedure import Form
-from daq.core.excitation.profiles.identification import EXPECTED_PERIODS, Identified, identify
+from daq.core.excitation.profiles.identification import EXPECTED_PERIODS, identify
 from daq.core.excitation.profiles.profile_checks import (
     OBSERVATION_PERIODS,
     WINDOW_PERIODS,
@@ -29,7 +29,7 @@ from daq.core.excitation.profiles.sweep_control import estimate_amplitudes, obse
 from daq.core.excitation.station import AbortedTest, Excitation, Station
 from daq.core.excitation.swept_sine import SweepProcedure
 from daq.core.signal_chain.channel import ChannelInfo
-from rig.core.base.arrays import Array
+from rig.core.base.arrays import Array, ComplexArray
 from rig.core.numerics.runs import runs_of
 from rig.core.results.text import format_decimals
 from rig.core.scene.excitation import SineControl
@@ -124,12 +124,11 @@ class SineSweep:
         # Frequencies of the identification [Hz], and a row of drives for the profile and each limit.
         self._frequencies, self._required = np.ones(1), np.ones((1 + len(test.limits), 1))
 
-    def first_drive(self, identified: Identified, period: int) -> float:
-        """Return the drive at the first frequency; abort if the output cannot drive the sweep."""
-        self._frequencies = identified.lines * self.station.rate / period
-        self._required = required_drives(self.test, np.abs(identified.gain), self._frequencies)
-        inside = in_band(self.test, self._frequencies)
-        frequency, drive = self._frequencies[inside], self._required[:, inside].min(axis=0).tolist()
+    def first_drive(self, frequency: Array, gain: ComplexArray) -> float:
+        """Return the drive at the first frequency from the identified responses; abort if the output is too small."""
+        self._frequencies, self._required = frequency, required_drives(self.test, np.abs(gain), frequency)
+        inside = in_band(self.test, frequency)
+        frequency, drive = frequency[inside], self._required[:, inside].min(axis=0).tolist()
         worst = int(np.argmax(drive))
         self.station.check_output(drive[worst], f"at {frequency[worst]:.4g} Hz the profile", "Lower the profile there.")
         return drive[int(np.argmin(abs(frequency - self.test.from_)))]
@@ -253,8 +252,8 @@ class SineControlProcedure(SweepProcedure["SineControl"]):
         required = np.where(inside, test.profile.at(frequency), 0.0) / np.sqrt(np.sum(inside))
         limits = [np.nanmin(limit.at(frequency[inside]), initial=np.inf) / np.sqrt(2.0) for limit in test.limits]
         largest = np.array([np.inf] * len(test.control.channels) + limits)
-        identified = yield from identify(station, sweep.rows, lines, period, required, largest, "sine control")
-        first, target = station.now, sweep.first_drive(identified, period)
+        gain, _ = yield from identify(station, sweep.rows, lines, period, required, largest, "sine control")
+        first, target = station.now, sweep.first_drive(frequency, gain)
         samples = _window_samples(test.from_, station.rate)
         rise = -(-station.samples(_RISE_S) // samples)
         for k in range(rise):

@@ -5,7 +5,6 @@ their delay is included.
 """
 
 from collections.abc import Generator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -41,15 +40,6 @@ EXPECTED_PERIODS = 16
 _MIN_SHARE = 0.5
 
 
-@dataclass(frozen=True)
-class Identified:
-    """Responses of channels to the drive at spectral lines."""
-
-    lines: Lines
-    gain: ComplexArray  # m/s² per unit of drive, shape (channels, lines)
-    coherence: Array  # shape (channels, lines)
-
-
 def accelerations(station: Station, rows: Sequence[int], readings: Array, lines: Lines, period: int) -> ComplexArray:
     """Return the complex amplitudes of the accelerations in one period of readings, shape (rows, lines), m/s²."""
     frequency = lines * station.rate / period
@@ -61,8 +51,8 @@ def accelerations(station: Station, rows: Sequence[int], readings: Array, lines:
 
 def identify(
     station: Station, rows: Sequence[int], lines: Lines, period: int, required: Array, limits: Array, purpose: str
-) -> Generator[Array, Array, Identified]:
-    """Identify the responses of channels.
+) -> Generator[Array, Array, tuple[ComplexArray, Array]]:
+    """Identify the responses of channels; return them [m/s² per unit of drive] and the coherence; (channels, lines).
 
     `rows`: rows of the channels, a control channel first; `period`: samples; `required`: amplitude of the first channel
     at each line in the test [m/s²]; `limits`: largest root mean square of each channel in the test [m/s²]; `purpose`:
@@ -130,7 +120,7 @@ def identify(
             f"required power, the coherence is below {MIN_COHERENCE:g}. Use a more sensitive sensor, a smaller "
             "converter.range, or a higher level."
         )
-    return Identified(lines, np.asarray(mean / drive), coherence)
+    return np.asarray(mean / drive), coherence
 
 
 def _first_drive(

@@ -35,9 +35,7 @@ class Replication:
     def __init__(self, target: Array, lines: Lines, gain: ComplexArray) -> None:
         self.lines, self._period = lines, target.size
         self._target = np.fft.rfft(target)[lines] * (2.0 / target.size)
-        known = gain != 0.0
-        self._inverse = np.zeros(gain.size, dtype=complex)
-        self._inverse[known] = 1.0 / gain[known]
+        self._inverse = np.divide(1.0, gain, out=np.zeros(gain.size, dtype=complex), where=gain != 0.0)
         self._drive = self._target * self._inverse
         rise = round(_TAPER_PER_PERIOD * target.size)
         ramp = (1.0 - np.cos(np.pi * np.arange(rise) / rise)) / 2.0

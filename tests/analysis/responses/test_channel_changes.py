@@ -11,8 +11,7 @@ import analysis
 import daq
 from analysis.core.responses.checks import channel_changes, tone_steps
 from analysis.core.responses.checks.failed_channels import failed_channels
-from analysis.core.responses.checks.gain_steps import step_warnings
-from analysis.core.responses.checks.tone_steps import ToneStep
+from analysis.core.responses.checks.gain_steps import describe_step, step_warnings
 from rig.core.results.response import Response, stack
 from tests.analysis.responses import synthetic
 from tests.peak_memory import peak_memory
@@ -314,7 +313,7 @@ def test_delay_hides_no_gain_of_another_channel(random_test):
 
 def test_phase_of_tone_states_possible_delays():
     # A delay of 2 ms is 0.6 periods of 300 Hz.
-    text = ToneStep("body2", 0, 1j * 2.0 * np.pi * 0.4, 300.0).describe(synthetic.RATE)
+    text = describe_step("body2", 1j * 2.0 * np.pi * 0.4, 300.0)
     assert text.startswith("body2 seems to be 1.3 ms early or 2 ms late (plus or minus whole periods of 3.3 ms)")
 
 

@@ -107,20 +107,24 @@ def step_warnings(response: Response, is_linear: bool) -> list[str]:
             for curve in np.delete(curves, k, axis=0)
         ]
         if all(abs(other) < _MAX_COMMON * abs(step.log_ratio) for other in others):
-            warnings.append(_describe(name, step.log_ratio, frequency[step.position], "" if others else reference))
+            warnings.append(describe_step(name, step.log_ratio, frequency[step.position], "" if others else reference))
         elif is_linear and all(abs(other - step.log_ratio) < _MAX_COMMON * abs(step.log_ratio) for other in others):
-            warnings.append(_describe(reference, -step.log_ratio, frequency[step.position]))
+            warnings.append(describe_step(reference, -step.log_ratio, frequency[step.position]))
             break
     return warnings
 
 
-def _describe(name: str, log_ratio: complex, frequency: float, reference: str = "") -> str:
-    """Describe a step of a channel; `reference`: the other channel that may be the cause."""
+def describe_step(name: str, log_ratio: complex, frequency: float, reference: str = "", time: str = "") -> str:
+    """Describe a step of a channel, with the real or imaginary logarithm of its complex gain after over before.
+
+    `frequency`: Hz; `reference`: the other channel that may be the cause; `time`: text after the frequency.
+    """
+    place = f"{_place(frequency)}{time}"
     if log_ratio.imag:
         delay = -log_ratio.imag / (2.0 * np.pi * frequency)
-        return describe_delay(name, delay, _place(frequency), reference, period=1.0 / frequency)
+        return describe_delay(name, delay, place, reference, period=1.0 / frequency)
     blamed = f"{name} or {reference}" if reference else name
-    return describe_change(blamed, float(np.exp(log_ratio.real)), _place(frequency))
+    return describe_change(blamed, float(np.exp(log_ratio.real)), place)
 
 
 def _place(frequency: float) -> str:

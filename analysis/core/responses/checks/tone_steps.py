@@ -24,12 +24,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.core.recordings.slices import read_slices
-from analysis.core.responses.checks.channel_changes import describe_change, describe_delay
 from analysis.core.responses.checks.clean_segments import Flaw, find_flaws
-from analysis.core.responses.checks.gain_steps import step_warnings
+from analysis.core.responses.checks.gain_steps import describe_step, step_warnings
 from daq.core.recording.recording import Recording
 from rig.core.base.arrays import Array, ComplexArray
-from rig.core.results import format_number
 from rig.core.results.response import Response
 
 # Length of a block of samples, in periods of the tone.
@@ -115,14 +113,6 @@ class ToneStep(NamedTuple):
     log_ratio: complex  # logarithm of the complex gain after the step over that before it; real or imaginary
     frequency: float  # Hz
 
-    def describe(self, rate: float) -> str:
-        """Describe the step; `rate`: samples per second."""
-        place = f"{format_number(float(f'{self.frequency:.3g}'))} Hz ({self.sample / rate:.4g} s)"
-        if self.log_ratio.imag:
-            delay = -self.log_ratio.imag / (2.0 * np.pi * self.frequency)
-            return describe_delay(self.channel, delay, place, period=1.0 / self.frequency)
-        return describe_change(self.channel, float(np.exp(self.log_ratio.real)), place)
-
 
 def tone_step_warnings(rec: Recording, intervals: Sequence[ToneInterval], channels: Sequence[str]) -> list[str]:
     """Return a warning for each channel whose gain or delay changes suddenly in one of the intervals."""
@@ -130,7 +120,10 @@ def tone_step_warnings(rec: Recording, intervals: Sequence[ToneInterval], channe
     for step in find_tone_steps(rec, intervals, channels):
         if step.channel not in steps or abs(step.log_ratio) > abs(steps[step.channel].log_ratio):
             steps[step.channel] = step
-    return [step.describe(rec.rate) for step in steps.values()]
+    return [
+        describe_step(name, step.log_ratio, step.frequency, time=f" ({step.sample / rec.rate:.4g} s)")
+        for name, step in steps.items()
+    ]
 
 
 def find_tone_steps(rec: Recording, intervals: Sequence[ToneInterval], channels: Sequence[str]) -> Iterator[ToneStep]:

@@ -49,6 +49,7 @@ class SpectrumControl:
         self.drive = np.zeros(self.lines.size)
         self.source = NoiseSource(station.generator("random control"), self.lines, self.period, rate)
         self.clipped = self.total = 0
+        self.outside, self.worst = 0, 0.0  # lines outside the tolerance, and largest deviation [dB]
 
     def identify(self) -> Generator[Array, Array, None]:
         """Identify the responses to the drive; the drive then follows from the profile and the limits."""

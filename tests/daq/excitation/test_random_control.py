@@ -123,6 +123,12 @@ def test_device_gives_same_markers(queued: int) -> None:
     assert [(kind, first, stop) for kind, first, stop, _ in markers] == [marker[:3] for marker in expected]
 
 
+def test_short_test_without_ramp_is_measured() -> None:
+    # Its spectra are too few for an update of the drive.
+    result = run(scene(ramp=[], duration="2 s"))
+    assert not result.reason and result.fields_of("measure") and not result.fields_of("tolerance")
+
+
 def test_too_high_profile_leaves_zero_drive() -> None:
     result = run(scene(shaker={"kind": "base", "output": {"range": "0.5 V"}}))
     assert "% of the drive samples are clipped by the output. Lower the profile" in result.reason

@@ -349,16 +349,35 @@ def _filters(acceleration_responses: Array, integrations: int, rate: float) -> l
     responses = np.concatenate([np.zeros(shape), acceleration_responses], axis=-1)
     for _ in range(integrations):
         responses = np.cumsum(responses, axis=-1) / rate
-    responses, count = responses[:, ::-1], responses.shape[-1]
+    # Slope change, step and jump, each without its smooth motion of the order.
+    residual, count = np.ascontiguousarray(np.moveaxis(responses, 1, 0)[::-1]), responses.shape[-1]
     # By summation by parts, these sums of a basis and the differences give the same outputs as the basis and the
     # responses.
     differences = integrations + 2
     sums = np.linalg.matrix_power(-np.triu(np.ones((count, count))), differences)[:, :-differences]
     filters_of_orders = []
-    for order in ORDERS:
+    # A single projection leaves rounding errors, because polynomials are much larger than the response to a jump.
+    for order in (ORDERS[0], *ORDERS):
         polynomials = legendre_basis(count, order + integrations)
-        without_smooth = np.eye(count) - polynomials @ polynomials.T
-        # A single projection leaves rounding errors, because polynomials are much larger than the response to a jump.
-        basis, r_factors = np.linalg.qr(np.swapaxes(responses @ without_smooth @ without_smooth, 1, 2))
-        filters_of_orders.append((np.swapaxes(basis, 1, 2) @ sums, r_factors))
-    return filters_of_orders
+        residual = residual - (residual @ polynomials) @ polynomials.T
+        filters_of_orders.append(residual)
+    return [
+        (np.swapaxes(basis @ sums, 0, 1), r_factors) for basis, r_factors in map(_orthogonalize, filters_of_orders[1:])
+    ]
+
+
+def _orthogonalize(columns: Array) -> tuple[Array, Array]:
+    """Return orthonormal columns, shape (columns, rows, length), and upper triangular matrices, one for each row.
+
+    Gram-Schmidt method with a second orthogonalization, for all rows together: numpy's QR decomposition of many small
+    matrices takes six times as long.
+    """
+    basis, triangles = columns.copy(), np.zeros((columns.shape[1], len(columns), len(columns)))
+    for k, column in enumerate(basis):
+        for j in [*range(k)] * 2:
+            product = np.einsum("ij,ij->i", basis[j], column)
+            column -= product[:, None] * basis[j]
+            triangles[:, j, k] += product
+        triangles[:, k, k] = np.sqrt(np.einsum("ij,ij->i", column, column))
+        column /= triangles[:, k, k, None]
+    return basis, triangles

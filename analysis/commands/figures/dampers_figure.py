@@ -93,7 +93,9 @@ def _draw_energies(axes: Axes, energy: EnergyBalance, lines: Lines, true_loss: n
 
     is_determined = energy.dampers > energy.expanded
     into_dampers = np.where(is_determined, energy.dampers, np.nan)
-    draw_energy(energy.supplied, color="#000000", marker="o", label="supplied by the force")
+    # Open circles remain visible around the energy into the dampers, where it is nearly all.
+    rings: dict[str, Any] = {"mfc": "none", "ms": 5.0, "mew": 0.8, "zorder": 4}
+    draw_energy(energy.supplied, color="#000000", marker="o", label="supplied by the force", **rings)
     draw_energy(energy.structure, color="#777777", marker="o", label="into the structure's damping, as in the scene")
     draw_energy(into_dampers, color=DAMPER, marker="o", label="into the dampers")
     axes.errorbar(
@@ -101,8 +103,8 @@ def _draw_energies(axes: Axes, energy: EnergyBalance, lines: Lines, true_loss: n
     )
     upper_bound = 1e3 * np.maximum(energy.dampers + energy.expanded, 0.0)
     axes.plot(
-        energy.frequency[~is_determined], upper_bound[~is_determined], "v", mfc="none", ms=3.5, mew=0.6,
-        color=DAMPER, alpha=0.6, label="into the dampers, upper bound",
+        energy.frequency[~is_determined], upper_bound[~is_determined], "v", mfc="none", ms=3.5, mew=0.9,
+        color=DAMPER, label="into the dampers, upper bound",
     )  # fmt: skip
     plotted = [1e3 * energy.supplied, 1e3 * energy.structure, 1e3 * into_dampers, upper_bound[~is_determined]]
     if true_loss is not None:

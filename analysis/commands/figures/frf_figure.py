@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.commands.figures.determined_lines import (
+    LINES_PER_GAP,
     MAX_ERROR_RATIO,
     MAX_MARKED,
     MAX_POINTS,
@@ -35,6 +36,7 @@ from rig.core.base.escaping import escape_figure
 from rig.core.base.figure_style import add_legend_below, add_title, frequency_axis, log_axis, new_figure
 from rig.core.base.figure_types import Axes, Figure
 from rig.core.base.palette import CurveStyle, faded, location_style, location_styles
+from rig.core.numerics.runs import ranges_of
 from rig.core.results.response import Response
 from rig.core.results.uncertainty import CLOCK, SENSITIVITY, SYSTEMATIC
 
@@ -47,6 +49,8 @@ _ZERO_RATIO = 1e-9
 _PHASE_TOPS = (30.0, 120.0, 210.0)
 # Margin of the phase axis, in which a phase that exceeds the end for a short time is not wrapped [degrees].
 _WRAP_MARGIN = 15.0
+# A piece of a phase curve with fewer points is not drawn: it looks like a stroke across the axis.
+_MIN_FRAGMENT = 3
 # Height of the strip that marks undetermined points, relative to the axes.
 _STRIP_HEIGHT = 0.012
 # Distance between the symbols of curves with many lines, relative to the diagonal of the axes.
@@ -89,8 +93,10 @@ def frf_figure(
         if theory:
             magnitude_axes.plot([], [], color=_THEORY_COLOR, lw=0.9, ls=":", label=escape_figure(theory[0].label))
         marked_peaks = [peak_marks(measured, resonance_peaks(measured)) for measured in frfs]
+        has_hidden_arrows = False
         if not several:
-            marked_peaks = without_hidden_arrows(marked_peaks)
+            visible = without_hidden_arrows(marked_peaks)
+            has_hidden_arrows, marked_peaks = visible != marked_peaks, visible
         heights = []
         for row, (measured, curve_style, marked) in enumerate(zip(frfs, styles, marked_peaks, strict=True)):
             _draw_curve(measured, curve_style, row, top, marked, magnitude_axes, phase_axes, coherence_axes)
@@ -140,10 +146,9 @@ def frf_figure(
                 text, (0.5, 0.5), xycoords="axes fraction", ha="center", va="center", fontsize=8, color="#555555"
             )
         figure.align_ylabels([magnitude_axes, phase_axes, coherence_axes])
-        rings = ["Rings: highest points."] * has_rings
-        add_legend_below(
-            figure, *remarks, *_caption(frfs, [mark for mark, _ in labels], bool(magnitude_axes.containers)), *rings
-        )
+        sentences = ["Peaks below an arrow may be higher, too."] * has_hidden_arrows
+        sentences = [*_caption(frfs, [mark for mark, _ in labels], bool(magnitude_axes.containers)), *sentences]
+        add_legend_below(figure, *remarks, *sentences, *["Rings: highest points."] * has_rings)
         return figure
 
 
@@ -247,11 +252,8 @@ def _draw_curve(
         )  # fmt: skip
     is_unknown = ~is_known & ~np.isnan(magnitude)
     if is_unknown.any():
-        magnitude_axes.fill_between(
-            frf.frequency, row * _STRIP_HEIGHT, (row + 1) * _STRIP_HEIGHT, where=is_unknown, step="mid",
-            color=faded(color), lw=0,
-            transform=magnitude_axes.get_xaxis_transform(),
-        )  # fmt: skip
+        for ends in ranges_of(frf.frequency, is_unknown, LINES_PER_GAP):
+            magnitude_axes.axvspan(*ends, row * _STRIP_HEIGHT, (row + 1) * _STRIP_HEIGHT, color=faded(color), lw=0)
         # One more point at either end makes the line continuous where its color changes to gray.
         noisy = ~is_known | ~np.roll(is_known, 1) | ~np.roll(is_known, -1)
         magnitude_axes.plot(frf.frequency, np.where(noisy, magnitude, np.nan), color=faded(color), lw=0.7, zorder=2)
@@ -385,7 +387,12 @@ def drawn_phases(curve: DrawnResponse, top: float) -> tuple[Array, Array]:
     value = np.concatenate([curve.value, np.where(curve.has_phase, curve.lines.value, np.nan)])
     order, angle = np.argsort(frequency, kind="stable"), np.empty(frequency.size)
     angle[order] = phase_degrees(value[order], top)
-    return angle[: curve.frequency.size], angle[curve.frequency.size :]
+    line, points = np.split(angle, [curve.frequency.size])
+    breaks = np.flatnonzero(~(abs(np.diff(line)) <= 180.0)) + 1
+    for start, stop in pairwise([0, *breaks.tolist(), line.size]):
+        if stop - start < _MIN_FRAGMENT:
+            line[start:stop] = np.nan
+    return line, points
 
 
 def phase_ticks(top: float) -> list[float]:

@@ -159,6 +159,9 @@ def label_peaks(marks: Sequence[tuple[PeakMark, str]], frf: Response, axes: Axes
         point = mark.frequency, factor * mark.height
         near = [group for group in groups if abs(to_axes.transform(point)[0] - group[0]) <= _LABEL_WIDTH]
         is_close = bool(near)
+        if mark.symbol == "undetermined" and any(group[1].symbol == mark.symbol for group in groups):
+            # Strips at the axis mark the other undetermined peaks.
+            continue
         if mark.symbol == "points":
             near += [group for group in groups if abs(mark.frequency / group[1].frequency - 1.0) < MODE_SHIFT]
             if not near and frf.frequency.size > MAX_POINTS and mark.height < _MIN_LABELED * highest_peak:

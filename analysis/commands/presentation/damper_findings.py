@@ -133,11 +133,12 @@ def describe_energy(energy: EnergyBalance, true_loss: np.ndarray | None = None) 
     """
     rows = []
     for i in np.sort(np.argsort(energy.supplied, kind="stable")[::-1][:_PRINTED_FREQUENCIES]):
-        percent = 100.0 / energy.supplied[i]
+        percent, bound = 100.0 / energy.supplied[i], energy.expanded[i]
         rows.append((
             f"{energy.frequency[i]:.4g}",
             format_number(1e3 * energy.supplied[i]),
-            format_limited(percent * energy.dampers[i], percent * energy.expanded[i], 100.0),
+            format_limited(percent * energy.dampers[i], percent * bound, 100.0)
+            + " (uncertainty unknown)" * bool(np.isnan(bound)),
             f"{0.1 * percent * energy.structure[i]:+.2g}",
             "" if true_loss is None else f"{percent * true_loss[i]:.3g}",
         ))  # fmt: skip

@@ -8,11 +8,11 @@ from analysis.commands.report_page.charts import (
     EvenlySpaced,
     Mark,
     Panel,
+    Strip,
     limits_with_margin,
     side_limits,
 )
 from analysis.commands.report_page.measurements import Measurement
-from analysis.commands.report_page.responses import value_strips
 from analysis.core.decays.sensor_correction import correct_motion
 from analysis.core.signals.profile_check import ProfileCheck
 from analysis.core.signals.shock_spectrum import OCTAVE_STEPS, prescribed_spectrum, scatter_text
@@ -22,6 +22,7 @@ from analysis.core.tracking.continuation import AmplitudeCurve
 from daq.core.recording.recorded_test import shocks_of
 from rig.core.base.arrays import Array
 from rig.core.base.palette import BASELINE, CurveStyle, location_style
+from rig.core.numerics.runs import ranges_of
 from rig.core.results import format_percent
 from rig.core.scene.excitation import FORCE_TOLERANCE
 from rig.core.scene.excitation.profile import from_decibels
@@ -57,7 +58,9 @@ def _profile_chart(check: ProfileCheck) -> Chart:
                 curves,
                 height=280,
                 logarithmic=True,
-                strips=[strip for marked, color in check.strips() for strip in value_strips(frequency, marked, color)],
+                strips=[
+                    Strip(ends, color) for marked, color in check.strips() for ends in ranges_of(frequency, marked)
+                ],
                 limits=(_SHOWN_BELOW * float(np.nanmin(check.profile)), 2.0 * highest),
             )
         ],

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.commands.figures.decay_figure import frequency_title, group_modes
-from analysis.commands.figures.determined_lines import MAX_MARKED, folds_back
+from analysis.commands.figures.determined_lines import LINES_PER_GAP, MAX_MARKED, folds_back
 from analysis.commands.figures.frf_figure import (
     break_at_wraps,
     drawn_phases,
@@ -44,7 +44,7 @@ from rig.core.base.palette import (
     location_styles,
     recording_styles,
 )
-from rig.core.numerics.runs import runs_of
+from rig.core.numerics.runs import ranges_of
 from rig.core.results import format_decimals, format_frequencies, format_percent
 from rig.core.results.response import Response
 from rig.core.scene.excitation import FORCE_TOLERANCE
@@ -59,8 +59,6 @@ _VIEW_RATIO = 4.0
 _MODE_WIDTH = 0.05
 # A long curve is reduced to the highest and the lowest point of this number of intervals.
 _INTERVALS = 1200
-# Half of the gap where the phase wraps, relative to its frequency: about a pixel.
-_GAP_RATIO = 0.005
 
 
 def response_charts(measurements: Sequence[Measurement], baseline_name: str) -> list[Chart]:
@@ -202,7 +200,7 @@ def response_chart(
         magnitude.append(curve)
         unknown = ~known & np.isfinite(frf.value)
         if unknown.any():
-            strips += value_strips(f, unknown, faded(style.color))
+            strips += [Strip(ends, faded(style.color)) for ends in ranges_of(f, unknown, LINES_PER_GAP)]
             # One point more at either end closes the gap between the gray and the colored curve.
             joined = unknown | np.roll(unknown, 1) | np.roll(unknown, -1)
             stored = joined | np.roll(joined, 1)
@@ -210,7 +208,7 @@ def response_chart(
             magnitude.append(Curve(name, f[stored], gray, style=style, draw="pale"))
         shown = _extremes(thin.frequency, thin.value)
         curve_angle, point_angle = drawn_phases(thin, top)
-        line = _break_visibly(thin.frequency[shown], curve_angle[shown])
+        line = break_at_wraps(thin.frequency[shown], curve_angle[shown])
         if draw == "points":
             magnitude.append(through)
             phase.append(Curve(name, *line, style=style, draw="through"))
@@ -252,14 +250,6 @@ def response_chart(
         x_view=view,
         notes=notes,
     )
-
-
-def _break_visibly(f: NDArray[np.float64], angle: NDArray[np.float64]) -> tuple[Array, Array]:
-    """Insert a gap of at least a pixel where the phase wraps: a narrower gap would be crossed by a line."""
-    is_step = abs(np.diff(np.nan_to_num(angle))) > 180.0
-    wraps = ((f[1:] + f[:-1]) / 2.0)[is_step & np.isfinite(angle[1:]) & np.isfinite(angle[:-1])]
-    is_near = (abs(f[:, None] / wraps - 1.0) < _GAP_RATIO).any(axis=1)
-    return break_at_wraps(f, np.where(is_near, np.nan, angle))
 
 
 def _symbols(name: str, style: CurveStyle, draw: str, points: Iterable[tuple[float, float]]) -> list[Curve]:
@@ -381,17 +371,6 @@ def _first_view(band: NDArray[np.float64], modes: NDArray[np.float64]) -> tuple[
         return None
     view = max(low, float(modes.min()) / _VIEW_RATIO), min(high, float(modes.max()) * _VIEW_RATIO)
     return view if high / low > 2.0 * view[1] / view[0] else None
-
-
-def value_strips(f: NDArray[np.float64], selected: NDArray[np.bool_], color: str) -> list[Strip]:
-    """Return a strip for each range of selected frequencies; an end is halfway to the next frequency.
-
-    >>> [strip.ends for strip in value_strips(np.arange(5.0), np.array([False, True, True, False, True]), "")]
-    [(0.5, 2.5), (3.5, 4.0)]
-    """
-    middle = np.concatenate([f[:1], (f[1:] + f[:-1]) / 2.0, f[-1:]])
-    ends = [sorted(float(f"{end:.8g}") for end in middle[[start, stop]]) for start, stop in runs_of(selected)]
-    return [Strip((low, high), color) for low, high in ends]
 
 
 def _percent_limits(curves: Sequence[Curve]) -> tuple[float, float]:

@@ -149,9 +149,9 @@ def _change_line(described: SweepChange) -> str:
     """Describe the change of one peak, with its heights if both are known."""
     change, (unit, factor) = described.change, described.shown_in
     differs = f"; mode shapes differ, MAC {described.mac:.2f}" * (described.mac < MIN_SAME_SHAPE_MAC)
-    text = f"{format_decimals(change.mode, 2)} Hz ({change.response}{differs}): {change_text(change)}"
+    text = f"{format_decimals(change.mode, 2)} Hz ({change.response}): {change_text(change)}"
     text += ", not significant" * (change.significance == "no")
-    return f"{text}, {' → '.join(change.height_texts(factor))} {unit}"
+    return f"{text}, {' → '.join(change.height_texts(factor))} {unit}{differs}"
 
 
 def _baseline_height(change: SweepChange) -> float:
@@ -233,9 +233,10 @@ def _decay_texts(measurements: Sequence[Measurement]) -> list[str]:
     channels = ", ".join(dict.fromkeys(result.channel for result in decays.values()))
     names = f": {' → '.join(f'“{label}”' for label in decays)}" if len(decays) > 1 else ""
     lines = [f"Free decay of {channels} after one impact{names}"]
-    for name, times in (
-        ("acceleration below 1 g after about", [result.quiet_from for result in decays.values()]),
-        ("energy 6 dB lower (slope from -1 to -11 dB) after about", [result.halving for result in decays.values()]),
+    for name, definition, times in (
+        ("below 1 g after", "", [result.quiet_from for result in decays.values()]),
+        ("6 dB lower after", " (from the slope between -1 and -11 dB)", [result.halving for result in decays.values()]),
     ):
-        lines.append(f"{name}: {' → '.join('–' if np.isnan(time) else f'{time:.2g} s' for time in times)}")
+        texts = " → ".join("–" if np.isnan(time) else f"{time:.2g} s" for time in times)
+        lines.append(f"{name}: about {texts}{definition}")
     return ["\n".join(lines)]

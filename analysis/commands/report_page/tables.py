@@ -47,15 +47,18 @@ def resonances(measurements: Sequence[Measurement], baseline: Measurement) -> st
     rows: list[tuple[str, ...]] = []
     known = [each.modes.frequency for each in baseline.sweeps[:1] if each.modes is not None]
     single = (measurement.sweeps[0] for measurement in measurements if len(measurement.sweeps) == 1)
+    inputs = {frf.input for measurement in measurements for sweep in measurement.sweeps for frf in sweep.frfs}
     for sweep in single:
         modes, peaks = sweep.modes, sweep.peaks
         if modes is None:
             continue
         rows.append((modes.label,))
         for k, highest in enumerate(peaks):
-            location, height = (
-                ("", "") if highest is None else (highest[0].ratio, highest[1].height_text(highest[0].shown_in[1]))
-            )
+            location = height = ""
+            if highest is not None:
+                frf, peak = highest
+                location = frf.ratio if len(inputs) > 1 else frf.response
+                height = peak.height_text(frf.shown_in[1])
             frequency, damping = modes.cells(k)
             rows.append((location, frequency, damping + sweep.damping_note(k), height))
         rows += [(f"uncertain: {each.reason}", *each.cells(), "") for each in modes.uncertain]
@@ -67,7 +70,9 @@ def resonances(measurements: Sequence[Measurement], baseline: Measurement) -> st
     found = (peak for measurement in measurements for sweep in measurement.sweeps for peak in sweep.peaks)
     units = " or ".join(dict.fromkeys(peak[0].shown_in[0] for peak in found if peak is not None)) or "µm/N"
     heading = ("response with the highest peak", "natural frequency / Hz", "damping ratio / %", f"peak / ({units})")
-    return Table(heading, "<>>>", rows).html(f"Resonances, with {intervals_text(missing_tolerances(measurements))}")
+    relative = f"; responses to the {', '.join(inputs)}" * (len(inputs) == 1)
+    caption = f"Resonances, with {intervals_text(missing_tolerances(measurements))}{relative}"
+    return Table(heading, "<>>>", rows).html(caption)
 
 
 def changes_table(changes: Sequence[SweepChange]) -> str:

@@ -23,7 +23,7 @@ from rig.core.base.errors import RecordingError
 from rig.core.base.figure_types import Axes
 from rig.core.base.palette import BASELINE, CurveStyle, location_styles
 from rig.core.base.renamed import renamed
-from rig.core.numerics.runs import runs_of
+from rig.core.numerics.runs import ranges_of, runs_of
 from rig.core.results import Result, complete_style, format_frequencies
 from rig.core.results.table import Table
 from rig.core.scene.excitation.kind import Chirp
@@ -228,8 +228,9 @@ class ProfileCheck(Result):
             line = {"color": limiting.color, "lw": 1.2, "label": f"limit of {level.channel}"}
             ax.loglog(self.frequency, level.limit, ls=(0, (1, 1.5)), **line)
         for marked, color in self.strips():
-            bottom = ax.get_xaxis_transform()
-            ax.fill_between(self.frequency, 0.0, 0.02, where=marked, transform=bottom, color=color, lw=0)
+            for ends in ranges_of(self.frequency, marked):
+                # The outline makes the strip of a single frequency visible.
+                ax.axvspan(*ends, 0.0, 0.02, color=color, lw=1.5)
         density = "acceleration spectral density"
         ax.set(xlabel="frequency / Hz")
         ax.set_ylabel(f"{density if self.is_density else 'acceleration amplitude'} / ({self.unit})")

@@ -5,6 +5,8 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
+from rig.core.base.arrays import Array
+
 
 def runs_of(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
     """Return the intervals [first, stop) in which flags are set.
@@ -29,3 +31,16 @@ def merge_spans(spans: Iterable[tuple[int, int]], pause: int = 0) -> list[tuple[
         else:
             merged.append((first, stop))
     return merged
+
+
+def ranges_of(values: Array, flags: NDArray[np.bool_], per_gap: int = 0) -> list[tuple[float, float]]:
+    """Return the ranges of ascending values whose flag is set; a range ends halfway to the next value.
+
+    `per_gap`: ranges are joined if at most one of this number of values is between them; 0: never.
+
+    >>> ranges_of(np.arange(5.0), np.array([False, True, True, False, True]))
+    [(0.5, 2.5), (3.5, 4.0)]
+    """
+    middles = np.concatenate([values[:1], (values[1:] + values[:-1]) / 2.0, values[-1:]]).tolist()
+    runs = merge_spans(runs_of(flags), values.size // per_gap if per_gap else 0)
+    return [(middles[start], middles[stop]) for start, stop in runs]

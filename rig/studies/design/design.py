@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from rig.core.base.arrays import Array
-from rig.core.base.figure_style import COLORS
 from rig.core.base.figure_types import Axes
+from rig.core.base.palette import BASELINE
 from rig.core.base.progress import CountProgress
 from rig.core.base.workers import Workers
 from rig.core.results import Result, complete_style
@@ -130,7 +130,7 @@ class Design(Result):
         ax.plot(factor * mass, reduction, "o", color="#a0a0a0", ms=3, label="tried")
         ax.plot(
             *zip(*best, strict=True),
-            **complete_style(style, marker="o", color=COLORS[0], ms=5, ls=":", lw=0.8, label="best for its mass"),
+            **complete_style(style, marker="o", color=BASELINE, ms=5, ls=":", lw=0.8, label="best for its mass"),
         )
         ax.set(xlabel=f"added mass / {unit}", ylabel="reduction of the largest peak / dB", xlim=(0.0, None))
         ax.set_title("Added mass")

@@ -8,10 +8,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rig.core.base.figure_style import COLORS, add_page_title, cell_edges, new_figure, save_figure, set_log_scale
+from rig.core.base.figure_style import add_page_title, cell_edges, new_figure, save_figure, set_log_scale
 from rig.core.base.figure_types import Axes, Figure
 from rig.core.base.output_files import atomic_write, file_stem
-from rig.core.base.palette import BASELINE
+from rig.core.base.palette import BASELINE, RECORDINGS
 from rig.core.orbits.problem import OrbitProblem
 from rig.core.results import format_decimals, format_number, format_percent
 from rig.core.scene.damper import Damper
@@ -26,10 +26,9 @@ from rig.studies.design.ranking import EQUAL_DB, IRREGULAR_RATIO, MIN_MACHINABLE
 from rig.studies.design.tuned_mass import TunedMass
 from rig.studies.design.worst_peak import response_at_level
 
-BLUE, RED = COLORS[:2]
 #: Colors, line styles and markers of the responses with dampers, for successive levels. The numbers of each have no
 #: common factor, so the styles of 60 levels differ.
-LEVEL_COLORS = RED, "#E69F00", "#8C2D04"
+LEVEL_COLORS = RECORDINGS[:3]
 _LEVEL_LINES = "-", "--", "-.", ":"
 _LEVEL_MARKERS = "os^Dv"
 # Number of frequencies of the drawn response without dampers: about one per pixel.
@@ -262,7 +261,9 @@ def _draw_chart(axes: Axes, design: Design) -> None:
     levels = design.question.levels
     label = "chosen" if design.best.choice.has_ceiling else "largest searched"
     axes.plot(levels, [chosen] * len(levels), "o-", color="white", lw=4.0, ms=9)
-    axes.plot(levels, [chosen] * len(levels), "o-", color=RED, lw=2.0, ms=6, label=f"{label}: {1e3 * chosen:.3g} mm")
+    axes.plot(
+        levels, [chosen] * len(levels), "o-", color=BASELINE, lw=2.0, ms=6, label=f"{label}: {1e3 * chosen:.3g} mm"
+    )
     axes.grid(False)
     axes.set(xlabel=design.question.level.label, ylabel=clearance_label(choice))
     set_log_scale(axes.xaxis)
@@ -286,7 +287,7 @@ def _draw_reductions(axes: Axes, design: Design) -> None:
     chosen = int(np.argmin(np.abs(np.log(design.clearance_factors))))
     plotted_rows = (chosen - 1, chosen, chosen + 1)
     bare_acceleration = design.levels / design.bare.level * design.bare.acceleration
-    for row_number, color, marker in zip(plotted_rows, ("#777777", RED, BLUE), "v^o", strict=True):
+    for row_number, color, marker in zip(plotted_rows, ("#999999", BASELINE, "#bbbbbb"), "v^o", strict=True):
         row = design.chart[row_number]
         choice = design.charted
         clearance = 1e3 * design.clearance_factors[row_number] * choice.clearances[choice.heaviest_index]

@@ -304,6 +304,18 @@
     return { stroke: null, fill: path, clip: null, flags: 3 };
   }
 
+  // A line that ends on both sides of a gap; uPlot would join both sides where the gap is narrower than a pixel.
+  function line(plot, index, from, to) {
+    const path = new Path2D(), [abscissae, values] = [plot.data[0], plot.data[index]];
+    let next = "moveTo";
+    for (let k = from; k <= to; k++) {
+      if (values[k] === undefined) continue; // abscissa of another curve
+      if (values[k] !== null) path[next](plot.valToPos(abscissae[k], "x", true), plot.valToPos(values[k], "y", true));
+      next = values[k] === null ? "moveTo" : "lineTo";
+    }
+    return { stroke: path, fill: null, clip: null, flags: 1 };
+  }
+
   function series(panel) {
     const shown = [], bands = [];
     for (const curve of inSeries(panel)) {
@@ -311,7 +323,7 @@
       shown.push({
         label: curve.label, stroke: () => shade(curve.color) + (curve.draw === "pale" ? "80" : ""), spanGaps: false,
         ...(curve.draw === "line" ? { dash: curve.dash.map((length) => 1.5 * length), width: 1.5 } : { width: 1 }),
-        ...(curve.draw === "points" ? { paths: () => null } : {}),
+        ...(curve.draw === "points" ? { paths: () => null } : curve.low ? {} : { paths: line }),
         points: { show: curve.draw === "points", paths: (plot, index, from, to) => points(plot, index, from, to, curve), fill: () => shade(curve.color) },
       });
       if (!curve.low) continue;

@@ -11,9 +11,8 @@ import numpy as np
 from daq.core.excitation.procedure import Form, Procedure
 from daq.core.excitation.profiles.identification import EXPECTED_PERIODS, MIN_COHERENCE, accelerations, identify
 from daq.core.excitation.profiles.spectrum_shaping import lines_between
-from daq.core.excitation.profiles.wave_replication import HalfSinePulse, Pulse, Replication, SpectrumPulse
+from daq.core.excitation.profiles.wave_replication import Pulse, Replication, pulse_of
 from daq.core.excitation.station import AbortedTest, Excitation, Station
-from rig.core.base.errors import SceneError
 from rig.core.scene.excitation import Shock
 from rig.core.scene.excitation.profile import from_decibels
 from rig.core.scene.excitation.shock import PULSE_POSITION
@@ -24,8 +23,6 @@ from rig.core.scene.scene import Scene
 _MAX_PRACTICE = 3
 # Highest frequency of the drive relative to the sample rate, below the transition band of the converter.
 _BAND_RATIO = 0.4
-# Minimum number of samples in a half sine; with fewer, its peak lies between two samples.
-_MIN_SAMPLES = 6
 # Deviations that grow by this factor do not converge: the drive does not compensate vibration of earlier pulses.
 _MIN_DIVERGENCE_RATIO = 1.2
 # Time without drive after the last pulse, as a fraction of the interval between pulses.
@@ -63,25 +60,6 @@ def _run_pulse(
     return deviation, message
 
 
-def _pulse(test: Shock, period: int, rate: float) -> Pulse:
-    """Return the pulse of a test."""
-    if test.half_sine is None:
-        assert test.spectrum is not None
-        return SpectrumPulse(test.spectrum, period, rate)
-    if test.half_sine.width * rate < _MIN_SAMPLES:
-        raise SceneError(
-            f"test.half_sine.width: a pulse of {test.half_sine.width * 1e3:g} ms has fewer than {_MIN_SAMPLES} samples "
-            f"at {rate:g} Hz. Give a longer pulse, or raise converter.rate."
-        )
-    return HalfSinePulse(test.half_sine, period, rate)
-
-
-def _check_drive(station: Station, replication: Replication, test: Shock) -> None:
-    """Abort if the drive of the shock exceeds the output or the amplifier."""
-    remedy = "Lower the spectrum." if test.half_sine is None else "Shorten the width, or lower the peak."
-    station.check_output(float(abs(replication.drive(1.0)).max()), "the pulse", remedy)
-
-
 class ShockProcedure(Procedure["Shock"]):
     """Shocks at a control channel."""
 
@@ -91,13 +69,13 @@ class ShockProcedure(Procedure["Shock"]):
     def excite(self, station: Station, test: Shock) -> Excitation:
         """Run practice pulses (marked `practice`) and shocks (marked `shock`)."""
         period = station.samples(test.interval)
-        pulse = _pulse(test, period, station.rate)
+        pulse = pulse_of(test, period, station.rate)
         lines = lines_between(pulse.band[0], min(pulse.band[1], _BAND_RATIO * station.rate), period, station.rate)
         row = station.row_of(test.control)
         required = np.asarray(abs(np.fft.rfft(pulse.target)[lines]) * (2.0 / period))
         [gain], [coherence] = yield from identify(station, [row], lines, period, required, np.full(1, np.inf), "shock")
         replication = Replication(pulse.target, lines, np.where(coherence >= MIN_COHERENCE, gain, 0.0))
-        _check_drive(station, replication, test)
+        station.check_output(float(abs(replication.drive(1.0)).max()), "the pulse", pulse.remedy)
         levels, n_practice = list(test.practice), max(_MAX_PRACTICE, len(test.practice))
         total, number, is_within, message, deviations = n_practice + test.repeats, 0, False, "", list[float]()
         while levels or not is_within:
@@ -109,7 +87,7 @@ class ShockProcedure(Procedure["Shock"]):
             deviation, message = yield from _run_pulse(station, test, replication, pulse, level, "practice", number)
             deviations.append(deviation)
             is_within = deviation <= pulse.tolerance
-            _check_drive(station, replication, test)
+            station.check_output(float(abs(replication.drive(1.0)).max()), "the pulse", pulse.remedy)
         outside = []
         for number in range(1, test.repeats + 1):
             station.report((n_practice + number) / total, f"shock {number} of {test.repeats}")

@@ -13,8 +13,10 @@ from daq.core.excitation.profiles.spectrum_shaping import Lines, sum_of_tones
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import SceneError
 from rig.core.scene.excitation.profile import in_decibels
-from rig.core.scene.excitation.shock import PULSE_POSITION, HalfSine, ShockProfile
+from rig.core.scene.excitation.shock import PULSE_POSITION, HalfSine, Shock, ShockProfile
 
+# Minimum number of samples in a half sine; with fewer, its peak lies between two samples.
+_MIN_SAMPLES = 6
 # Part of the error that a correction removes. The error then decreases as long as the true response is below 2 / 0.7 =
 # 2.9 times the identified response.
 _CORRECTED_FRACTION = 0.7
@@ -58,9 +60,14 @@ class Replication:
 class HalfSinePulse:
     """A compensated half sine; the deviation is relative to its peak."""
 
-    unit = "of the peak"
+    unit, remedy = "of the peak", "Shorten the width, or lower the peak."
 
     def __init__(self, settings: HalfSine, period: int, rate: float) -> None:
+        if settings.width * rate < _MIN_SAMPLES:
+            raise SceneError(
+                f"test.half_sine.width: a pulse of {settings.width * 1e3:g} ms has fewer than {_MIN_SAMPLES} samples "
+                f"at {rate:g} Hz. Give a longer pulse, or raise converter.rate."
+            )
         self.target = settings.wave(_time(period, rate))
         self.band = 0.02 / settings.width, 10.0 / settings.width
         self.tolerance, self._peak = settings.tolerance, settings.peak
@@ -74,7 +81,7 @@ class HalfSinePulse:
 class SpectrumPulse:
     """A sum of wavelets with a given shock response spectrum; the deviation is the deviation of the spectrum in dB."""
 
-    unit = "dB"
+    unit, remedy = "dB", "Lower the spectrum."
 
     def __init__(self, settings: ShockProfile, period: int, rate: float) -> None:
         self._lines, self._q, self._rate = settings.lines, settings.q, rate
@@ -116,6 +123,14 @@ class SpectrumPulse:
 
 # A pulse to replicate: `target` is the acceleration of one period [m/s²], `band` that of the drive [Hz].
 Pulse = HalfSinePulse | SpectrumPulse
+
+
+def pulse_of(test: Shock, period: int, rate: float) -> Pulse:
+    """Return the pulse of a test; `period`: samples; `rate`: Hz."""
+    if test.half_sine is not None:
+        return HalfSinePulse(test.half_sine, period, rate)
+    assert test.spectrum is not None
+    return SpectrumPulse(test.spectrum, period, rate)
 
 
 def _time(period: int, rate: float) -> Array:

@@ -139,10 +139,10 @@ class ConstantResponseProcedure(SteadyTonesProcedure["ConstantResponse"]):
 
     def from_form(self, values: FormValues, test: KindOfTest | None) -> dict[str, Any]:
         """Return a stepped sine over the band at the level of the scene's test, or 1 mm of body 1."""
-        level = {"at": "body 1", "displacement": 1e-3}
+        level: dict[str, Any] = {"displacement": 1e-3}
         if test is not None and test.held_motion is not None:
-            level = {"at": test.held_motion[0], test.level_key: test.levels}
-        return {"kind": "constant_response", "from": values.low, "to": values.high, "points": _FORM_POINTS, **level}
+            level = {test.level_key: test.levels}
+        return {**super().from_form(values, test), "points": _FORM_POINTS, **level}
 
 
 PROCEDURE = ConstantResponseProcedure()

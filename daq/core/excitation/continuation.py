@@ -19,11 +19,10 @@ import cmath
 import math
 from collections.abc import Generator, Sequence
 from itertools import pairwise
-from typing import Any
 
 from daq.core.excitation.constant_response import AT_LIMIT_RATIO
 from daq.core.excitation.controlled import measured_force
-from daq.core.excitation.procedure import Form, FormValues
+from daq.core.excitation.procedure import Form
 from daq.core.excitation.station import AbortedTest, Excitation, Station
 from daq.core.excitation.stepped_sine import SteadyTonesProcedure, expected_wait
 from daq.core.excitation.tones.curve_tone import CurveTone, Point
@@ -35,7 +34,6 @@ from daq.core.excitation.tones.envelope_control import (
 from rig.core.base.arrays import Array
 from rig.core.results.text import format_decimals
 from rig.core.scene.excitation import Continuation
-from rig.core.scene.excitation.kind import KindOfTest
 from rig.core.scene.scene import Scene
 from rig.core.system.structural_model import structural_model
 
@@ -461,11 +459,6 @@ class ContinuationProcedure(SteadyTonesProcedure["Continuation"]):
                 count += (math.asinh((high - omega) / rate) + math.asinh((omega - low) / rate)) / test.step
         seconds = expected_wait(scene, test.settle.longest) + test.measure.periods / test.from_
         return len(test.levels) * min(count, test.points) * seconds
-
-    def from_form(self, values: FormValues, test: KindOfTest | None) -> dict[str, Any]:
-        """Return curves at the given force, of body 1 or of the body of the scene's test."""
-        at = "body 1" if test is None or test.held_motion is None else test.held_motion[0]
-        return {"kind": "continuation", "at": at, "force": values.level, "from": values.low, "to": values.high}
 
 
 PROCEDURE = ContinuationProcedure()

@@ -9,7 +9,7 @@ import numpy as np
 
 from daq.core.excitation.controlled import controlled, displacement, measured_force
 from daq.core.excitation.lock_in import whole_periods
-from daq.core.excitation.procedure import Form, FormValues
+from daq.core.excitation.procedure import Form
 from daq.core.excitation.station import AbortedTest, Excitation, Station
 from daq.core.excitation.stepped_sine import SteadyTonesProcedure
 from daq.core.excitation.tones.phase_loop import PhaseLoop, loop_settings
@@ -19,7 +19,6 @@ from daq.core.excitation.tones.steady_tone import TRANSITION_S, WINDOW_S
 from rig.core.base.arrays import Array
 from rig.core.results.text import format_decimals
 from rig.core.scene.excitation import PhaseResonance
-from rig.core.scene.excitation.kind import KindOfTest
 from rig.core.scene.scene import Scene
 
 # Number of successive windows within the tolerance that lock the phase; the frequency is averaged over them.
@@ -164,12 +163,6 @@ class PhaseResonanceProcedure(SteadyTonesProcedure["PhaseResonance"]):
     def waits(self, test: PhaseResonance, scene: Scene) -> float:
         """Return the expected time of all locks [s]."""
         return len(test.levels) * min(_PERIODS_OF_LOCK / test.frequency, test.settle.longest)
-
-    def from_form(self, values: FormValues, test: KindOfTest | None) -> dict[str, Any]:
-        """Return a tone at the given force that follows the resonance of the body in the test; default: body 1."""
-        at, _ = (test and test.held_phase) or ("body 1", 0.0)
-        band = {"from": values.low, "to": values.high, "frequency": values.frequency}
-        return {"kind": "phase_resonance", "at": at, "force": values.level, **band}
 
 
 PROCEDURE = PhaseResonanceProcedure()

@@ -23,6 +23,10 @@ Rehearsal = Literal["part", "peaks"]
 _BLOCK_S = 0.5
 
 
+# Keys of the test for fields of a form that have other names.
+_FORM_KEYS = {"level": "force", "low": "from", "high": "to"}
+
+
 @dataclass
 class FormValues:
     """Values of the controls on the bench page."""
@@ -139,8 +143,11 @@ class Procedure(Generic[TestT]):
         """Return the frequency of the tone at a fraction, 0 to 1, of the measurement [Hz]; None if markers state it."""
         return None
 
-    def from_form(self, values: FormValues, test: KindOfTest | None) -> KindOfTest | dict[str, Any]:
+    def from_form(self, values: FormValues, test: KindOfTest | None) -> Any:
         """Return a test, or the settings of a test, with the values of the page; `test`: the test of the scene."""
-        if test is None or self.form is None or self.form.fields:
-            raise NotImplementedError
-        return test
+        assert self.form is not None
+        if not self.form.fields:
+            return test
+        # The module of a procedure has the name of the kind.
+        settings = {_FORM_KEYS.get(name, name): getattr(values, name) for name in self.form.fields}
+        return {"kind": type(self).__module__.rpartition(".")[2], **settings}

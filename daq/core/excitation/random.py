@@ -1,17 +1,16 @@
 """Random test: Gaussian noise in a frequency band, continuous or in bursts."""
 
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 
 from daq.core.excitation.controlled import controlled
-from daq.core.excitation.procedure import Form, FormValues, Procedure
+from daq.core.excitation.procedure import Form, Procedure
 from daq.core.excitation.profiles.spectrum_shaping import Lines, equal_amplitudes, equalize, lines_between
 from daq.core.excitation.station import Excitation, Station
 from rig.core.base.arrays import Array
 from rig.core.scene.excitation import Random, RandomControl
-from rig.core.scene.excitation.kind import KindOfTest
 
 NoiseT = TypeVar("NoiseT", bound="Random | RandomControl")
 
@@ -128,11 +127,6 @@ class RandomProcedure(NoiseProcedure["Random"]):
     def noise_gain(self, test: Random, frequency: Array) -> Array:
         """Return the ratio of the densities of drive and noise, for a level and a noise density of 1."""
         return np.full(frequency.size, 1.0 / np.sqrt(test.to - test.from_))
-
-    def from_form(self, values: FormValues, test: KindOfTest | None) -> dict[str, Any]:
-        """Return noise in the band, with the given rms force."""
-        band = {"from": values.low, "to": values.high}
-        return {"kind": "random", **band, "duration": values.duration, "force": values.level}
 
 
 PROCEDURE = RandomProcedure()

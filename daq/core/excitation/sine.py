@@ -1,19 +1,16 @@
 """Sine test: a tone of constant frequency and amplitude."""
 
-from typing import Any
-
 import numpy as np
 
 from daq.core.excitation.controlled import controlled
 from daq.core.excitation.lock_in import whole_periods
-from daq.core.excitation.procedure import Form, FormValues, Procedure
+from daq.core.excitation.procedure import Form, Procedure
 from daq.core.excitation.station import Excitation, Station
 from daq.core.excitation.tones.settling import Settling
 from daq.core.excitation.tones.steady_tone import WINDOW_S, SteadyTone
 from rig.core.base.arrays import Array
 from rig.core.results.text import format_decimals
 from rig.core.scene.excitation import Settle, Sine
-from rig.core.scene.excitation.kind import KindOfTest
 
 # Largest transient in steady state, relative to the amplitude: below the uncertainty of sensors.
 _TOLERANCE = 1e-3
@@ -59,10 +56,6 @@ class SineProcedure(Procedure["Sine"]):
     def noise_gain(self, test: Sine, frequency: Array) -> Array:
         """Return the ratio of amplitude to noise over the duration, for a level and a noise density of 1."""
         return np.full(frequency.size, np.sqrt(test.duration / 2.0))
-
-    def from_form(self, values: FormValues, test: KindOfTest | None) -> dict[str, Any]:
-        """Return a tone of the given frequency and force."""
-        return {"kind": "sine", "frequency": values.frequency, "force": values.level}
 
 
 PROCEDURE = SineProcedure()

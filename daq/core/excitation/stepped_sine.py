@@ -5,13 +5,13 @@ A measurement contains whole periods.
 
 import math
 from collections.abc import Generator, Sequence
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
 from daq.core.excitation.controlled import controlled
 from daq.core.excitation.lock_in import noise_gain
-from daq.core.excitation.procedure import Procedure
+from daq.core.excitation.procedure import FormValues, Procedure
 from daq.core.excitation.station import Excitation, Station
 from daq.core.excitation.tones.steady_tone import SteadyTone, listed
 from rig.core.base.arrays import Array
@@ -123,6 +123,10 @@ class SteadyTonesProcedure(Procedure[SteadyT]):
     def waits(self, test: SteadyT, scene: Scene) -> float:
         """Return the expected time of the waits before all measurements [s]."""
         return _tones_of(test) * expected_wait(scene, test.settle.longest)
+
+    def from_form(self, values: FormValues, test: KindOfTest | None) -> dict[str, Any]:
+        """Return the settings of the form, and as body of a controlled motion that of the scene's test or body 1."""
+        return {**super().from_form(values, test), "at": getattr(test, "at", "body 1")}
 
     def part(self, test: SteadyT, seconds: float, scene: Scene) -> SteadyT:
         """Return the test at its highest level only."""

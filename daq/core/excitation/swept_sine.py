@@ -9,12 +9,12 @@ resonance then contains fewer periods than the identification of its mode requir
 """
 
 from collections.abc import Generator
-from typing import Any, ClassVar, TypeVar
+from typing import ClassVar, TypeVar
 
 import numpy as np
 
 from daq.core.excitation.controlled import Controlled, controlled
-from daq.core.excitation.procedure import Form, FormValues, Procedure
+from daq.core.excitation.procedure import Form, Procedure
 from daq.core.excitation.profiles.pretest import pretest
 from daq.core.excitation.profiles.sweep_control import (
     Observation,
@@ -27,7 +27,6 @@ from daq.core.excitation.tones.steady_tone import SteadyTone
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.results.text import format_decimals, format_percent
 from rig.core.scene.excitation import SweptSine
-from rig.core.scene.excitation.kind import KindOfTest
 from rig.core.scene.excitation.swept_sine import FrequencySweep
 
 SweepT = TypeVar("SweepT", bound=FrequencySweep)
@@ -234,11 +233,6 @@ class SweptSineProcedure(SweepProcedure["SweptSine"]):
         if test.spacing == "log":
             rate = frequency * abs(np.log(test.to / test.from_)) / test.duration
         return np.asarray(np.sqrt(1.0 / np.sqrt(rate) / 2.0))
-
-    def from_form(self, values: FormValues, test: KindOfTest | None) -> dict[str, Any]:
-        """Return a sweep over the band, with the given force."""
-        band = {"from": values.low, "to": values.high}
-        return {"kind": "swept_sine", **band, "duration": values.duration, "force": values.level}
 
 
 PROCEDURE = SweptSineProcedure()

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from analysis.commands.presentation.figures_of_recordings import present_each
 from analysis.commands.presentation.outputs import CommandOutput
@@ -45,28 +46,18 @@ def present_surface(
 
 
 def draw_responses(result: ForceSurface, forces: Sequence[float], axes: Axes) -> None:
-    """Draw the responses at force amplitudes in N, and the points at which the amplitude was held."""
+    """Draw the responses at force amplitudes in N, folds as crosses, and the points at which the amplitude was held."""
     # Gray points show where the force was measured; between them it is interpolated.
     axes.plot(result.frequency, 1e3 * result.amplitude, "o", ms=2.5, color="#b0b0b0", zorder=1)
-    for force, style in level_styles(forces).items():
-        draw_response(result, force, axes, style.color, style.marker)
+    for force, (color, _, marker) in level_styles(forces).items():
+        frequency, amplitude, bound, stable = result.at_force(force).values()
+        bars: dict[str, Any] = {"fmt": marker, "ms": 4, "color": color, "capsize": 2}
+        for is_stable, face, label in ((True, color, f"{format_number(force)} N"), (False, "white", None)):
+            x, y, error = (each[stable == is_stable] for each in (frequency, 1e3 * amplitude, 1e3 * bound))
+            axes.errorbar(x, y, error, mfc=face, label=label, **bars)
+        for fold, height in result.folds(force):
+            axes.plot(fold, 1e3 * height, "x", color=color, ms=8)
     axes.set(xlabel="frequency / Hz", ylabel=f"amplitude of {result.body} / mm")
-
-
-def draw_response(result: ForceSurface, force: float, axes: Axes, color: str, marker: str) -> None:
-    """Draw the response at a force amplitude in N, with its folds as crosses."""
-    curve = result.at_force(force)
-    for is_stable, face in ((True, color), (False, "white")):
-        part = curve["stable"] == is_stable
-        label = f"{format_number(force)} N" if is_stable else None
-        frequency, amplitude, bound = (
-            curve[name][part] for name in ("frequency_Hz", "amplitude_m", "amplitude_bound_m")
-        )
-        axes.errorbar(
-            frequency, 1e3 * amplitude, 1e3 * bound, fmt=marker, ms=4, color=color, mfc=face, label=label, capsize=2
-        )
-    for frequency, amplitude in result.folds(force):
-        axes.plot(frequency, 1e3 * amplitude, "x", color=color, ms=8)
 
 
 def fold_lines(result: ForceSurface, forces: Sequence[float]) -> list[str]:

@@ -110,18 +110,6 @@ def loop_delay(frequency: float, latency: float) -> float:
     return (OBSERVATION_PERIODS + latency * frequency) / WINDOW_PERIODS
 
 
-def sweep_deviation(
-    test: SineControl, frequency: float, slope: float, latency: float = 0.0, amplification: Array | None = None
-) -> float:
-    """Return the deviation in dB for a slope d ln(drive) / d ln(frequency) of the drive.
-
-    `latency`: s; `amplification`: amplification of the sidebands. The largest slope at a resonance is 1 / (2 D).
-    """
-    gain = loop_gain(test.speed, loop_delay(frequency, latency), amplification)
-    lag = WINDOW_PERIODS / frequency / gain + slope / (pi * frequency)
-    return float(20.0 / log(10.0) * test.rate_at(frequency) * slope * lag)
-
-
 class SweepCheck(NamedTuple):
     """Expected deviation of a sweep from its profile, and the bands in which a limit determines the drive."""
 
@@ -161,12 +149,11 @@ def check_sweep(test: SineControl, scene: Scene, channels: Sequence[ChannelInfo]
     limiting, drives = required.argmin(axis=0), required.min(axis=0)
     slopes = abs(np.gradient(np.log(drives), np.log(frequency)))
     inside = np.flatnonzero(in_band(test, frequency))
-    deviations = [
-        sweep_deviation(test, f, slope, latency, sideband_amplification(drive, f, required[row], frequency))
-        for f, slope, drive, row in zip(
-            *(row[inside].tolist() for row in (frequency, slopes, drives, limiting)), strict=True
-        )
-    ]
+    columns, deviations = (row[inside].tolist() for row in (frequency, slopes, drives, limiting)), list[float]()
+    for f, slope, drive, row in zip(*columns, strict=True):
+        sidebands = sideband_amplification(drive, f, required[row], frequency)
+        lag = WINDOW_PERIODS / f / loop_gain(test.speed, loop_delay(f, latency), sidebands) + slope / (pi * f)
+        deviations.append(20.0 / log(10.0) * test.rate_at(f) * slope * lag)
     worst = int(inside[np.argmax(deviations)])
     notches = [
         (limit.channel, float(frequency[inside[start]]), float(frequency[inside[stop - 1]]))

@@ -10,9 +10,9 @@ this shape, weighted with the mass matrix, is the modal coordinate q. Its phase 
 + 2 D w0 w Re q / -Im q.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,6 +38,8 @@ from rig.core.system.structural_model import structural_model
 _FREQUENCY_DEVIATION_RATIO = 2.0
 # Largest quadrature part of other modes, in their in-phase part times the resonant mode's damping ratio.
 _MAX_QUADRATURE_PER_DAMPING = 10.0
+# Quantities of the mode at a level without a mode near phase resonance.
+_NO_MODE = dict.fromkeys(("natural_frequency", "natural_frequency_expanded", "damping", "damping_expanded"), np.nan)
 
 
 @dataclass(frozen=True, repr=False)
@@ -226,18 +228,19 @@ def backbone(rec: Recording) -> Backbone:
         rotation = float(uncertain.expanded()[line, held_output, 0]) / abs(values[held_output])
         angle = _FREQUENCY_DEVIATION_RATIO * (abs(phase_error) + rotation)
         tangent = float(np.tan(angle)) if angle < np.pi / 2.0 else np.inf
-        mode, places = _NO_MODE, [f"body {number}" for number in range(1, len(mass) + 1)]
-        if all(place in output_at for place in places):
-            motion = np.asarray(force * values[[output_at[place] for place in places]], dtype=np.complex128)
+        places = [f"body {number}" for number in range(1, len(mass) + 1)]
+        mode, outputs = _NO_MODE, [output_at[place] for place in places if place in output_at]
+        if len(outputs) == len(mass):
+            motion = np.asarray(force * values[outputs], dtype=np.complex128)
             mode = _mode(motion, mass, driven, force, omega, relative, rotation)
         points.append({
             "level": float(marker.fields["level"]),
             "force": force,
             "frequency": response.frequency[line],
-            "frequency_expanded": abs(mode.damping) * omega / turn * tangent,
+            "frequency_expanded": abs(mode["damping"]) * omega / turn * tangent,
             "phase_deviation": phase_error,
             "phase_deviation_expanded": rotation,
-            **mode._asdict(),
+            **mode,
             "amplitude": amplitude,
             "amplitude_expanded": relative * amplitude,
             "amplitude_own": own * amplitude,
@@ -251,27 +254,9 @@ def backbone(rec: Recording) -> Backbone:
     )
 
 
-class _Mode(NamedTuple):
-    """A mode near phase resonance, with expanded uncertainties."""
-
-    natural_frequency: float  # Hz
-    natural_frequency_expanded: float
-    damping: float
-    damping_expanded: float
-
-
-_NO_MODE = _Mode(np.nan, np.nan, np.nan, np.nan)
-
-
 def _mode(
-    motion: ComplexArray,
-    mass: Array,
-    driven: Sequence[int],
-    force: float,
-    omega: float,
-    relative: float,
-    rotation: float,
-) -> _Mode:
+    motion: ComplexArray, mass: Array, driven: list[int], force: float, omega: float, relative: float, rotation: float
+) -> dict[str, float]:
     """Return the mode of a motion [m] per force [N]; `relative`, `rotation`: uncertainties of motion and phase."""
     shape = -motion.imag / np.sqrt(motion.imag @ mass @ motion.imag)
     coordinate = complex(shape @ mass @ motion)
@@ -291,4 +276,5 @@ def _mode(
     # Without motion of other modes, an unbounded error of their motion has no effect (0 times infinity would be NaN).
     angle_error = rotation + (share * (share + relative) if share else 0.0)
     error = abs(damping) * ((1.0 + tangent**2) * angle_error + abs(tangent) * damping_error)
-    return _Mode(natural / (2.0 * np.pi), natural * error / (2.0 * np.pi), damping, abs(damping) * damping_error)
+    values = natural / (2.0 * np.pi), natural * error / (2.0 * np.pi), damping, abs(damping) * damping_error
+    return dict(zip(_NO_MODE, values, strict=True))

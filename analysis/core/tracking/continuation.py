@@ -203,18 +203,12 @@ class AmplitudeCurve(Result):
             x, y, bound = (column[part] for column in (self.frequency, 1e3 * self.amplitude, 1e3 * self.amplitude_own))
             ax.errorbar(x, y, bound, markerfacecolor=face, label=name, **points)
         for level in dict.fromkeys(fold.level for fold in self.folds):
-            folds = [fold for fold in self.folds if fold.level == level]
-            ax.errorbar(
-                [fold.frequency for fold in folds],
-                [1e3 * fold.amplitude for fold in folds],
-                xerr=[fold.expanded for fold in folds],
-                fmt="x",
-                color="black",
-                zorder=4,
-                label="_folds" if any(fold.level < level for fold in self.folds) else "fold",
-                ms=8,
-                capsize=2,
-            )
+            folds = [
+                (each.frequency, 1e3 * each.amplitude, each.expanded) for each in self.folds if each.level == level
+            ]
+            label = "_folds" if any(fold.level < level for fold in self.folds) else "fold"
+            x, y, bound = np.transpose(folds)
+            ax.errorbar(x, y, xerr=bound, fmt="x", color="black", zorder=4, label=label, ms=8, capsize=2)
         ax.set(xlabel="excitation frequency / Hz", ylabel=f"amplitude of {self.body} / mm")
 
 

@@ -16,12 +16,9 @@ from daq.core.excitation.profiles.identification import EXPECTED_PERIODS, identi
 from daq.core.excitation.profiles.profile_checks import (
     OBSERVATION_PERIODS,
     WINDOW_PERIODS,
+    SweepLoop,
     check_sweep,
     in_band,
-    loop_delay,
-    loop_gain,
-    required_drives,
-    sideband_amplification,
     widened,
 )
 from daq.core.excitation.profiles.spectrum_shaping import lines_between
@@ -29,7 +26,7 @@ from daq.core.excitation.profiles.sweep_control import estimate_amplitudes, obse
 from daq.core.excitation.station import AbortedTest, Excitation, Station
 from daq.core.excitation.swept_sine import SweepProcedure
 from daq.core.signal_chain.channel import ChannelInfo
-from rig.core.base.arrays import Array, ComplexArray
+from rig.core.base.arrays import Array
 from rig.core.numerics.runs import runs_of
 from rig.core.results.text import format_decimals
 from rig.core.scene.excitation import SineControl
@@ -112,23 +109,19 @@ class Caution:
 class SineSweep:
     """A sweep with its controller."""
 
-    def __init__(self, station: Station, test: SineControl) -> None:
-        self.station, self.test = station, test
-        self.rows = [station.row_of(name) for _, name in test.named_channels]
+    def __init__(self, station: Station, test: SineControl, rows: Sequence[int], loop: SweepLoop) -> None:
+        self.station, self.test, self._rows, self._loop = station, test, list(rows), loop
         self.total, self.completed = station.samples(test.duration), 0
         self.drive, self.phase = 0.0, 0.0
         self.observations: list[Observation] = []
-        self._recent, self._phases = np.zeros((len(self.rows), 0)), np.zeros(0)
+        self._recent, self._phases = np.zeros((len(rows), 0)), np.zeros(0)
         self.limited = False  # whether the output limited the drive
         self._caution = Caution()
-        # Frequencies of the identification [Hz], and a row of drives for the profile and each limit.
-        self._frequencies, self._required = np.ones(1), np.ones((1 + len(test.limits), 1))
 
-    def first_drive(self, frequency: Array, gain: ComplexArray) -> float:
-        """Return the drive at the first frequency from the identified responses; abort if the output is too small."""
-        self._frequencies, self._required = frequency, required_drives(self.test, np.abs(gain), frequency)
-        inside = in_band(self.test, frequency)
-        frequency, drive = frequency[inside], self._required[:, inside].min(axis=0).tolist()
+    def first_drive(self) -> float:
+        """Return the drive at the first frequency; abort if the output cannot drive the sweep."""
+        inside = self._loop.inside
+        frequency, drive = self._loop.frequency[inside], self._loop.required[:, inside].min(axis=0).tolist()
         worst = int(np.argmax(drive))
         self.station.check_output(drive[worst], f"at {frequency[worst]:.4g} Hz the profile", "Lower the profile there.")
         return drive[int(np.argmin(abs(frequency - self.test.from_)))]
@@ -146,7 +139,7 @@ class SineSweep:
         self.phase, self.drive = float(phase[-1]), drive
         readings = yield self.station.drive(envelope * np.sin(phase[:-1]))
         length = self.station.latency + 2 * _observation_samples(frequency, self.station.rate)
-        self._recent = np.concatenate([self._recent, readings[self.rows]], axis=1)[:, -length:]
+        self._recent = np.concatenate([self._recent, readings[self._rows]], axis=1)[:, -length:]
         self._phases = np.concatenate([self._phases, phase[:-1]])[-length:]
 
     def observe(self, frequency: float) -> Array | None:
@@ -159,7 +152,7 @@ class SineSweep:
         amplitudes = estimate_amplitudes(self._recent[:, -length:], phases, self.station.rate)[0]
         return np.array([
             abs(self.station.acceleration_factor(row, frequency) * amplitude)
-            for row, amplitude in zip(self.rows, amplitudes, strict=True)
+            for row, amplitude in zip(self._rows, amplitudes, strict=True)
         ])  # fmt: skip
 
     def step(self, frequency: float, samples: int) -> Generator[Array, Array, Observation | None]:
@@ -168,17 +161,15 @@ class SineSweep:
         drive, observation = self.drive, None
         if amplitudes is not None:
             ratios = self.test.required(amplitudes[:, None], np.array([frequency]))[:, 0]
-            delay = loop_delay(frequency, self.station.latency / self.station.rate)
-            required = self.drive * float(ratios.min())
-            sidebands = sideband_amplification(required, frequency, self._required[ratios.argmin()], self._frequencies)
-            gain = loop_gain(self.test.speed, delay, sidebands)
-            error = limited_error(float(ratios.min()))
+            limiting = int(ratios.argmin())
+            ratio = float(ratios[limiting])
+            gain, error = self._loop.gain(self.drive * ratio, frequency, limiting), limited_error(ratio)
             drive *= float(np.exp(gain * self._caution.factor(error) * error))
             self.limited |= drive > self.station.output_limit
             drive = min(drive, self.station.output_limit)
             deviation, now = -float(in_decibels(ratios[0])), self.station.now - self.station.latency
             length = _observation_samples(frequency, self.station.rate)
-            observation = Observation(max(now - length, 0), now, frequency, deviation, int(np.argmin(ratios)) - 1)
+            observation = Observation(max(now - length, 0), now, frequency, deviation, limiting - 1)
             if deviation > self.test.abort and drive > 0.0:
                 names = " and ".join(self.test.control.channels)
                 raise AbortedTest(
@@ -239,10 +230,11 @@ class SineControlProcedure(SweepProcedure["SineControl"]):
 
         Markers: `measure` for the sweep, `tolerance` for deviations, `notch` for bands in which a limit sets the drive.
         """
-        warning = check_sweep(test, station.scene, station.channels, station.latency / station.rate).warning
-        if warning:
+        latency_s = station.latency / station.rate
+        if warning := check_sweep(test, station.scene, station.channels, latency_s).warning:
             station.warn(warning)
-        sweep, period = SineSweep(station, test), station.samples(_identification_seconds(test))
+        rows = [station.row_of(name) for _, name in test.named_channels]
+        period = station.samples(_identification_seconds(test))
         low, high = widened(test)
         highest = max(test.band[1], min(high, _HIGHEST_RATIO * station.rate))
         lines = lines_between(low, highest, period, station.rate)
@@ -252,8 +244,9 @@ class SineControlProcedure(SweepProcedure["SineControl"]):
         required = np.where(inside, test.profile.at(frequency), 0.0) / np.sqrt(np.sum(inside))
         limits = [np.nanmin(limit.at(frequency[inside]), initial=np.inf) / np.sqrt(2.0) for limit in test.limits]
         largest = np.array([np.inf] * len(test.control.channels) + limits)
-        gain, _ = yield from identify(station, sweep.rows, lines, period, required, largest, "sine control")
-        first, target = station.now, sweep.first_drive(frequency, gain)
+        gain, _ = yield from identify(station, rows, lines, period, required, largest, "sine control")
+        sweep = SineSweep(station, test, rows, SweepLoop(test, frequency, np.abs(gain), latency_s))
+        first, target = station.now, sweep.first_drive()
         samples = _window_samples(test.from_, station.rate)
         rise = -(-station.samples(_RISE_S) // samples)
         for k in range(rise):

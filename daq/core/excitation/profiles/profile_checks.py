@@ -74,16 +74,6 @@ def loop_gain(speed: float, delay: float, amplification: Array | None = None) ->
     return speed * limit
 
 
-def sideband_amplification(required: float, frequency: float, drives: Array, frequencies: Array) -> Array:
-    """Return the amplification of the sidebands of a changing drive by the structure, relative to the tone.
-
-    `required`: drive at the frequency in Hz; `drives`: required drives at `frequencies` [Hz].
-    """
-    distance = _SIDEBANDS * frequency / WINDOW_PERIODS
-    below, above = (np.interp(frequency + sign * distance, frequencies, 1.0 / drives) for sign in (-1.0, 1.0))
-    return np.asarray(0.5 * required * (below + above))
-
-
 def widened(test: SineControl) -> tuple[float, float]:
     """Return the lowest and the highest frequency at which the response is needed [Hz]."""
     low, high = test.band
@@ -96,18 +86,31 @@ def in_band(test: SineControl, frequency: Array) -> NDArray[np.bool_]:
     return np.asarray((frequency >= low * (1.0 - 1e-9)) & (frequency <= high * (1.0 + 1e-9)), dtype=bool)
 
 
-def required_drives(test: SineControl, motion: Array, frequency: Array) -> Array:
-    """Return the drives that profile and limits require, shape (1 + limits, n).
+class SweepLoop:
+    """The control loop of a sweep: the drives that profile and limits require, and the gain of the controller.
 
-    Outside the band, the drives are those at its ends. `motion`: amplitudes of the channels per unit of drive, m/s²,
-    shape (channels, n); `frequency`: Hz, shape (n,).
+    `motion`: amplitudes of the channels per unit of drive [m/s²], shape (channels, n), at `frequency` [Hz], shape (n,);
+    `latency`: s. `inside` states which of the frequencies the sweep contains.
     """
-    return test.required(motion, np.clip(frequency, *test.band))
 
+    def __init__(self, test: SineControl, frequency: Array, motion: Array, latency: float) -> None:
+        self.frequency, self.inside, self._speed, self._latency = (
+            frequency,
+            in_band(test, frequency),
+            test.speed,
+            latency,
+        )
+        # Shape (1 + limits, n). Outside the band, the drives are those at its ends.
+        self.required = test.required(motion, np.clip(frequency, *test.band))
 
-def loop_delay(frequency: float, latency: float) -> float:
-    """Return the delay of the loop in windows: an observation plus the latency in s."""
-    return (OBSERVATION_PERIODS + latency * frequency) / WINDOW_PERIODS
+    def gain(self, drive: float, frequency: float, row: int) -> float:
+        """Return the gain at a drive that a row of `required` determines, and a frequency in Hz."""
+        distance = _SIDEBANDS * frequency / WINDOW_PERIODS
+        per_drive = 1.0 / self.required[row]
+        below, above = (np.interp(frequency + sign * distance, self.frequency, per_drive) for sign in (-1.0, 1.0))
+        # An observation plus the latency, in windows.
+        delay = (OBSERVATION_PERIODS + self._latency * frequency) / WINDOW_PERIODS
+        return loop_gain(self._speed, delay, np.asarray(0.5 * drive * (below + above)))
 
 
 class SweepCheck(NamedTuple):
@@ -145,14 +148,12 @@ def check_sweep(test: SineControl, scene: Scene, channels: Sequence[ChannelInfo]
     """Check a sweep with the linear response of the scene, with all dampers on their floors; `latency`: s."""
     places, frequency = {info.name: info.at for info in channels}, np.geomspace(*widened(test), _N_FREQUENCIES)
     motion = accelerations_per_drive(scene, [places[name] for _, name in test.named_channels], 2.0 * pi * frequency)
-    required = required_drives(test, motion, frequency)
-    limiting, drives = required.argmin(axis=0), required.min(axis=0)
+    loop = SweepLoop(test, frequency, motion, latency)
+    limiting, drives, inside = loop.required.argmin(axis=0), loop.required.min(axis=0), np.flatnonzero(loop.inside)
     slopes = abs(np.gradient(np.log(drives), np.log(frequency)))
-    inside = np.flatnonzero(in_band(test, frequency))
     columns, deviations = (row[inside].tolist() for row in (frequency, slopes, drives, limiting)), list[float]()
     for f, slope, drive, row in zip(*columns, strict=True):
-        sidebands = sideband_amplification(drive, f, required[row], frequency)
-        lag = WINDOW_PERIODS / f / loop_gain(test.speed, loop_delay(f, latency), sidebands) + slope / (pi * f)
+        lag = WINDOW_PERIODS / f / loop.gain(drive, f, row) + slope / (pi * f)
         deviations.append(20.0 / log(10.0) * test.rate_at(f) * slope * lag)
     worst = int(inside[np.argmax(deviations)])
     notches = [

@@ -179,33 +179,29 @@ class SineSweep:
         yield from self.window(samples, frequency, drive)
         return observation
 
-
-def _mark(sweep: SineSweep, first: int) -> None:
-    """Mark the sweep, its deviations from the profile, and the bands in which a limit determines the drive."""
-    station, test, seen = sweep.station, sweep.test, sweep.observations
-    outside = np.array([abs(each.deviation) > test.tolerance and each.limiting < 0 for each in seen], dtype=bool)
-    for start, stop in runs_of(outside):
-        worst = max(seen[start:stop], key=lambda each: abs(each.deviation))
-        station.mark(
-            "tolerance", seen[start].first, seen[stop - 1].stop, worst=round(worst.deviation, 2),
-            frequency=worst.frequency,
-        )  # fmt: skip
-    for index, limit in enumerate(test.limits):
-        for start, stop in runs_of(np.array([each.limiting == index for each in seen], dtype=bool)):
-            band = {"from": seen[start].frequency, "to": seen[stop - 1].frequency}
-            station.mark("notch", seen[start].first, seen[stop - 1].stop, channel=limit.channel, **band)
-    fields: dict[str, Any] = {"from": test.from_, "to": test.to, "spacing": test.spacing}
-    level = float(test.profile.at(np.array(test.from_)))
-    station.mark(
-        "measure", first, station.now, duration=test.duration, settled=True, level=level,
-        outside=round(float(np.mean(outside)) if seen else 0.0, 4), **fields,
-    )  # fmt: skip
-    if outside.any():
-        worst = max((seen[k] for k in np.flatnonzero(outside)), key=lambda each: abs(each.deviation))
-        station.warn(
-            f"the control deviates from the profile by more than {test.tolerance:g} dB in {100 * outside.mean():.1f} % "
-            f"of the sweep, most at {worst.frequency:.4g} Hz ({worst.deviation:+.1f} dB). Sweep more slowly."
-        )
+    def mark(self, first: int) -> None:
+        """Mark the sweep, its deviations from the profile, and the bands in which a limit determines the drive."""
+        station, test, seen = self.station, self.test, self.observations
+        outside = np.array([abs(each.deviation) > test.tolerance and each.limiting < 0 for each in seen], dtype=bool)
+        largest = []
+        for start, stop in runs_of(outside):
+            worst = max(seen[start:stop], key=lambda each: abs(each.deviation))
+            fields: dict[str, Any] = {"worst": round(worst.deviation, 2), "frequency": worst.frequency}
+            station.mark("tolerance", seen[start].first, seen[stop - 1].stop, **fields)
+            largest.append(worst)
+        for index, limit in enumerate(test.limits):
+            for start, stop in runs_of(np.array([each.limiting == index for each in seen], dtype=bool)):
+                band = {"from": seen[start].frequency, "to": seen[stop - 1].frequency}
+                station.mark("notch", seen[start].first, seen[stop - 1].stop, channel=limit.channel, **band)
+        level, share = float(test.profile.at(np.array(test.from_))), float(np.mean(outside)) if seen else 0.0
+        fields = {"outside": round(share, 4), "from": test.from_, "to": test.to, "spacing": test.spacing}
+        station.mark("measure", first, station.now, duration=test.duration, settled=True, level=level, **fields)
+        if largest:
+            worst = max(largest, key=lambda each: abs(each.deviation))
+            station.warn(
+                f"the control deviates from the profile by more than {test.tolerance:g} dB in {100 * share:.1f} % "
+                f"of the sweep, most at {worst.frequency:.4g} Hz ({worst.deviation:+.1f} dB). Sweep more slowly."
+            )
 
 
 def _identification_seconds(test: SineControl) -> float:
@@ -271,9 +267,8 @@ class SineControlProcedure(SweepProcedure["SineControl"]):
         finally:
             # The measurement is marked even if the test ends early.
             if station.now > first:
-                _mark(sweep, first)
-        fall = station.samples(_RISE_S)
-        yield from sweep.window(fall, test.to, 0.0)
+                sweep.mark(first)
+        yield from sweep.window(station.samples(_RISE_S), test.to, 0.0)
         if sweep.limited:
             station.warn("the output limited the drive, so that the profile was not reached. Lower the profile.")
 

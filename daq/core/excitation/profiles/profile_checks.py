@@ -94,12 +94,8 @@ class SweepLoop:
     """
 
     def __init__(self, test: SineControl, frequency: Array, motion: Array, latency: float) -> None:
-        self.frequency, self.inside, self._speed, self._latency = (
-            frequency,
-            in_band(test, frequency),
-            test.speed,
-            latency,
-        )
+        self.frequency, self.inside = frequency, in_band(test, frequency)
+        self._speed, self._latency = test.speed, latency
         # Shape (1 + limits, n). Outside the band, the drives are those at its ends.
         self.required = test.required(motion, np.clip(frequency, *test.band))
 

@@ -258,7 +258,9 @@ def _draw_curve(
         noisy = ~is_known | ~np.roll(is_known, 1) | ~np.roll(is_known, -1)
         magnitude_axes.plot(frf.frequency, np.where(noisy, magnitude, np.nan), color=faded(color), lw=0.7, zorder=2)
     magnitude_axes.plot(drawn, center, **line)
-    magnitude_axes.plot(frf.frequency, np.where(is_known, magnitude, np.nan), **points)
+    # matplotlib does not draw a part of the markers of a curve without any point.
+    every = {} if is_known.any() else {"markevery": None}
+    magnitude_axes.plot(frf.frequency, np.where(is_known, magnitude, np.nan), **points | every)
     symbol = {key: points[key] for key in ("marker", "mew", "mfc") if key in points}
     magnitude_axes.plot(np.nan, np.nan, **line | symbol | {"ms": 4}, label=escape_figure(frf.label))
     if frf.unsteady is not None and frf.unsteady.any():
@@ -272,7 +274,8 @@ def _draw_curve(
         width = break_at_wraps(curve.frequency, angle, np.degrees(np.arcsin(np.minimum(ratio, 1.0))))[1]
         phase_axes.fill_between(drawn, center - width, center + width, color=color, alpha=opacity, lw=0)
     phase_axes.plot(drawn, center, **line)
-    phase_axes.plot(frf.frequency, point_angle, **points)
+    every = {} if np.isfinite(point_angle).any() else {"markevery": None}
+    phase_axes.plot(frf.frequency, point_angle, **points | every)
     if has_scatter(frf):
         if is_unknown.any():
             coherence_axes.plot(frf.frequency, frf.coherence, color=faded(color), lw=0.7, zorder=2)

@@ -272,6 +272,18 @@ def test_undetermined_curve_is_pale_without_band(limit):
     assert {line.get_color() for line in axes.lines if np.isfinite(line.get_ydata()).any()} == {faded(BODIES[0])}
 
 
+def test_many_undetermined_points_are_drawn():
+    # Of a curve with this number of points, some points would have markers.
+    ones = np.ones(200)
+    curve = Response.curve(
+        np.linspace(10.0, 20.0, 200), ones + 0j, "body3", error=0.01 * ones, limits={"clock": np.inf * ones},
+        label="a scene",
+    )  # fmt: skip
+    figure = frf_figure([curve], "Compliance")
+    figure.canvas.draw()
+    assert "undetermined" in figure.legends[0].get_title().get_text()
+
+
 def test_lines_between_gaps_are_undetermined():
     f = np.linspace(1.0, 100.0, 1000)
     is_noise = (f > 60.0) & (np.arange(f.size) % 10 < 4)

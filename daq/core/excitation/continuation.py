@@ -370,7 +370,7 @@ class _Curve:
         last, tone = self.points[-1], self._tone
         rates = (
             ("an open-loop growth", growth, MAX_GROWTH_TIMES_DEAD_TIME),
-            ("a pole", 0.0 if tone.is_holdable(last, 1.0) else abs(last.pole), MAX_POLE_TIMES_DEAD_TIME),
+            ("a pole", abs(last.pole), MAX_POLE_TIMES_DEAD_TIME),
         )
         for name, rate, largest in rates:
             if rate * tone.dead_time > largest:

@@ -8,8 +8,6 @@ import pytest
 import daq
 import rig
 from daq.core.excitation.tones.envelope_control import EnvelopeControl
-from daq.core.excitation.tones.repeating_tone import irregularity
-from rig.core.base.arrays import Array
 from rig.core.base.errors import RunError, SceneError
 from rig.core.system.structural_model import receptance
 from tests.daq.excitation.virtual_device import run_device
@@ -57,41 +55,6 @@ def test_law_holds_unstable_envelope(rotation: float, scale: float) -> None:
 def test_law_limits_drive_at_excess() -> None:
     control = EnvelopeControl(1.0, 1.0 + 0j, 0.1, 0.15, limit=5.0)
     assert abs(control.next_drive(2.0, -1.0)) <= 1.0
-
-
-PERIODS, PER_PERIOD = 20, 64
-
-
-def of_modulated(amplitudes: Array) -> float:
-    """Return the irregularity of a motion with these amplitudes in successive periods."""
-    turn = np.arange(PERIODS * PER_PERIOD) / PER_PERIOD
-    motion = np.repeat(amplitudes, PER_PERIOD) * np.sin(2.0 * np.pi * turn)
-    return min(irregularity(motion, 1.0, float(PER_PERIOD))[:4])
-
-
-def logistic_map(growth: float) -> Array:
-    """Return amplitudes of successive periods that vary by up to 5 % with the logistic map."""
-    values = [0.3]
-    for _ in range(1000):
-        values.append(growth * values[-1] * (1.0 - values[-1]))
-    return 1.0 + 0.05 * np.array(values[-PERIODS:])
-
-
-def test_chaotic_motion_does_not_repeat() -> None:
-    # Below 3.57 the map has periods of 2, 4, ...; at 3.9 it is chaotic.
-    assert of_modulated(logistic_map(3.2)) < 1e-6 and of_modulated(logistic_map(3.5)) < 1e-6
-    assert of_modulated(logistic_map(3.9)) > 0.01
-
-
-def test_slow_drift_is_not_irregular() -> None:
-    assert of_modulated(1.0 + np.linspace(0.0, 0.01, PERIODS)) < 1e-3
-
-
-def test_motion_beside_harmonics_is_irregular() -> None:
-    # The envelope at the frequency itself is constant.
-    turn = np.arange(PERIODS * PER_PERIOD) / PER_PERIOD
-    motion = np.sin(2.0 * np.pi * turn) + 0.02 * np.sin(2.0 * np.pi * 0.382 * turn)
-    assert min(irregularity(motion, 1.0, float(PER_PERIOD))[:4]) > 0.004
 
 
 @pytest.fixture(scope="module")

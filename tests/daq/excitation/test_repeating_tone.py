@@ -6,28 +6,43 @@ import numpy as np
 import pytest
 
 import rig
-from daq.core.excitation.tones.repeating_tone import irregularity_and_decay, repetition
+from daq.core.excitation.tones.repeating_tone import amplitudes_of_periods, repetition
 from rig.core.base.arrays import Array
 from tests.daq.measurement.bench_run import run
 
-PERIODS, PER_PERIOD = 20, 64
+PER_PERIOD = 64
 TOLERANCE = 1e-3
-# Time in periods.
-TIME = np.arange(PERIODS * PER_PERIOD) / PER_PERIOD
+PHASES = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
 
 
-def of_motion(modulation: Array, noise: float = 0.0, seed: int = 0, size: int | None = None) -> int:
-    """Return the repetition of a tone with a modulation and noise, relative to its amplitude, in `size` samples."""
-    samples = (1.0 + modulation) * np.sin(2.0 * np.pi * TIME)
+def time_of(periods: int) -> Array:
+    """Return the time of each sample, periods."""
+    return np.arange(periods * PER_PERIOD) / PER_PERIOD
+
+
+TIME = time_of(20)
+
+
+def of_motion(modulation: Array, noise: float = 0.0, seed: int = 0, mode: Array | float = 0.0) -> int:
+    """Return the repetition of a tone with a modulation, noise and another mode, relative to its amplitude."""
+    samples = (1.0 + modulation) * np.sin(2.0 * np.pi * np.arange(modulation.size) / PER_PERIOD) + mode
     samples += noise * np.random.default_rng(seed).standard_normal(samples.size)
     # Largest difference of the amplitudes in Hann windows of two periods, with a margin of 2 in the variance.
     expected = noise * (2.0 * 2.0 * 2.0 * 1.5 * 2.0 / (2 * PER_PERIOD)) ** 0.5
-    return repetition(*irregularity_and_decay(samples[:size], 1.0, float(PER_PERIOD)), TOLERANCE, expected)
+    return repetition(amplitudes_of_periods(samples, 1.0, float(PER_PERIOD)), TOLERANCE, expected)
 
 
-def alternating(ratio: float) -> Array:
+def alternating(ratio: float, time: Array = TIME) -> Array:
     """Return a modulation that alternates between successive periods."""
-    return ratio * np.sign(np.sin(np.pi * TIME))
+    return ratio * np.sign(np.sin(np.pi * time))
+
+
+def logistic_map(growth: float) -> Array:
+    """Return a modulation of successive periods by up to 5 % with the logistic map."""
+    values = [0.3]
+    for _ in range(1000):
+        values.append(growth * values[-1] * (1.0 - values[-1]))
+    return np.repeat(0.05 * np.array(values[-20:]), PER_PERIOD)
 
 
 @pytest.mark.parametrize("ratio", [1e-3, 1e-2])
@@ -35,38 +50,58 @@ def test_small_doubling_is_two_periods(ratio: float) -> None:
     assert of_motion(alternating(ratio), noise=1e-4) == 2
 
 
+def test_chaotic_motion_does_not_repeat() -> None:
+    # Below 3.57 the map has periods of 2, 4, ...; at 3.9 it is chaotic.
+    assert [of_motion(logistic_map(growth)) for growth in (3.2, 3.5, 3.9)] == [2, 4, 0]
+
+
+def test_quasi_periodic_motion_is_irregular() -> None:
+    # The envelope at the frequency itself is constant.
+    assert of_motion(0.0 * TIME, mode=0.02 * np.sin(2.0 * np.pi * 0.382 * TIME)) == 0
+
+
 def test_doubling_in_a_few_periods_is_recognized() -> None:
-    assert of_motion(alternating(0.1), size=5 * PER_PERIOD) != 1
+    assert [of_motion(alternating(0.1, time_of(periods))) for periods in (4, 5, 6)] == [0, 2, 2]
 
 
-def test_slow_beat_does_not_repeat() -> None:
-    # The doubled motion of a gauntlet scene at 46.436 Hz, whose force was 0.4 % from that of the orbit.
-    beat = 0.006 * np.sin(2.0 * np.pi * TIME / 60.0)
-    assert of_motion(alternating(0.01) + beat, noise=1e-4) == 0
+@pytest.mark.parametrize("periods", [6, 10, 20, 50, 200])
+@pytest.mark.parametrize("decaying", [0.15, 1.0])
+def test_decrease_of_doubling_leaves_two_periods(periods: int, decaying: float) -> None:
+    time = time_of(periods)
+    assert of_motion(alternating(0.01, time) * (1.0 + decaying * np.exp(-2.0 * time / periods))) == 2
 
 
-@pytest.mark.parametrize("phase", np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False))
-def test_slow_beat_of_any_phase_is_irregular(phase: float) -> None:
-    # In some phases, the difference of successive periods decreases as that of a transient.
-    assert of_motion(0.01 * np.sin(2.0 * np.pi * TIME / 60.0 + phase)) == 0
+@pytest.mark.parametrize("doubling", [0.0, 0.01])
+@pytest.mark.parametrize(("periods", "beat"), [(20, 60), (100, 25), (100, 50), (200, 400)])
+def test_beat_of_any_phase_is_irregular(periods: int, beat: int, doubling: float) -> None:
+    # In some phases, the differences of periods decrease as those of a transient. The beat can divide the measurement.
+    time = time_of(periods)
+    modulations = [0.01 * np.sin(2.0 * np.pi * time / beat + phase) for phase in PHASES]
+    assert {of_motion(alternating(doubling, time) + each) for each in modulations} == {0}
 
 
 def test_transient_within_tolerance_repeats() -> None:
     assert of_motion(0.9 * TOLERANCE * np.exp(-TIME / 20.0)) == 1
 
 
-def test_decaying_mode_is_no_multiple() -> None:
-    # Another mode at two thirds of the tone, with a time constant of 25 periods.
-    assert of_motion(0.005 * np.cos(2.0 * np.pi / 3.0 * TIME) * np.exp(-TIME / 25.0), noise=1e-3) == 1
+@pytest.mark.parametrize("periods", [10, 20, 50, 200])
+@pytest.mark.parametrize("frequency", [0.37, 0.5, 0.6, 2.0 / 3.0])
+@pytest.mark.parametrize("time_constant", [0.1, 0.5, 1.0])
+def test_decaying_mode_is_no_multiple(periods: int, frequency: float, time_constant: float) -> None:
+    time = time_of(periods)
+    decay = 0.005 * np.exp(-time / (time_constant * periods))
+    modes = [decay * np.cos(2.0 * np.pi * frequency * time + phase) for phase in PHASES[::3]]
+    assert {of_motion(0.0 * time, 1e-4, mode=mode) for mode in modes} == {1}
 
 
 def test_small_alternating_transient_is_no_multiple() -> None:
     assert of_motion(alternating(0.1 * TOLERANCE)) == 1
 
 
+@pytest.mark.parametrize("periods", [5, 20])
 @pytest.mark.parametrize("noise", [1e-4, 1e-2, 1e-1])
-def test_noise_is_no_multiple(noise: float) -> None:
-    assert {of_motion(np.zeros(TIME.size), noise, seed) for seed in range(50)} == {1}
+def test_noise_is_no_multiple(periods: int, noise: float) -> None:
+    assert {of_motion(np.zeros(periods * PER_PERIOD), noise, seed) for seed in range(200)} == {1}
 
 
 @pytest.mark.parametrize(

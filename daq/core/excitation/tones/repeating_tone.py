@@ -5,7 +5,7 @@ of the tone is nearly constant.
 """
 
 from collections import defaultdict
-from collections.abc import Generator, Sequence
+from collections.abc import Generator
 from math import ceil
 
 import numpy as np
@@ -15,23 +15,22 @@ from daq.core.excitation.lock_in import whole_periods
 from daq.core.excitation.sensor_settling import wait_for_sensors
 from daq.core.excitation.station import Station
 from daq.core.excitation.tones.steady_tone import WINDOW_S, SteadyTone
-from rig.core.base.arrays import Array
+from rig.core.base.arrays import Array, ComplexArray
 from rig.core.results.text import format_frequencies
 from rig.core.scene.excitation import Settle
 
 # A motion that repeats after at most this number of periods of the tone is periodic.
 _MAX_REPEATED_PERIODS = 4
-# The period is a multiple only if successive periods differ by more than this multiple of the smallest difference,
-# which is an estimate of the noise. Differences by noise are equal to 20 %.
-_MIN_DIFFERENCE_RATIO = 2.0
-# Smaller differences of successive periods, relative to the tolerance of steady state, belong to transients.
+# The period is a multiple only if the deviations from one period exceed the smallest deviations, which are an estimate
+# of the noise, by more than this ratio. Deviations by noise are equal to 20 %.
+_MIN_DEVIATION_RATIO = 2.0
+# Smaller deviations, relative to the tolerance of steady state, belong to transients.
 _MIN_MULTIPLE_RATIO = 0.25
-# If the difference of successive periods in the second half of a measurement is below this fraction of that in the
-# whole, it is a transient. With constant drive it was 0.94 to 1.15 for doubled and tripled periods of eleven scenes.
-_MAX_DECAY = 0.9
-# Smallest growth of the differences of a slow beat beyond those of the first periods. Those of decaying modes grow by
-# up to 1.15, if their distance to the tone is above 1/8 of its frequency.
-_MIN_BEAT_GROWTH = 1.5
+# Largest ratio of the powers of a transient in the last and first third of a measurement. Modes with a time constant
+# below 1.4 measured times decay faster.
+_MAX_DECAY = 0.4
+# Smallest part of the power in the last third that decays if the deviations are a transient.
+_MIN_DECAYING_PART = 0.5
 # Ratio of the largest difference of two periods to the tolerance, which each of them may deviate from steady state.
 _TWO_DEVIATIONS = 2.0**0.5
 # Orders of the tone's frequency at which periods are compared. Hann windows of two periods at these orders cover the
@@ -51,7 +50,8 @@ class RepeatingTone(SteadyTone):
     ) -> None:
         super().__init__(station, frequency, controlled)
         self._quantity, self._settle = motion, settle
-        self._noise = 0.0  # standard deviation of the displacement amplitude in a window by noise [m]
+        # Standard deviation of the amplitude in a window by noise, before the weights of the displacement.
+        self._noise = 0.0
         # Frequencies [Hz] and repetitions of the motions at each level.
         self._repetitions = defaultdict[float, list[tuple[float, int]]](list)
 
@@ -69,13 +69,15 @@ class RepeatingTone(SteadyTone):
             readings = yield self.station.drive(self.hold(self.window))
             amplitudes.append(complex(self._quantity.amplitudes(readings, [self.frequency], [phase])[0]))
         steps = [(info.volts_per_count or 0.0) / info.sensitivity for info in self.station.channels]
+        weights = self._quantity.weights(self.frequency)
         # White noise with the variance step^2 / 12 has the variance step^2 / (3 n) in an amplitude from n samples.
-        quantization = float(np.linalg.norm(self._quantity.weights(self.frequency) * steps)) / (3 * self.window) ** 0.5
-        self._noise = float(np.hypot(np.std(amplitudes), quantization))
+        quantization = float(np.linalg.norm(weights * steps)) / (3 * self.window) ** 0.5
+        self._noise = float(np.hypot(np.std(amplitudes), quantization) / np.linalg.norm(weights))
 
     def relative_noise(self, motion: float) -> float:
         """Return an upper estimate of the noise in a window, relative to a displacement amplitude in m."""
-        return _NOISE_MARGIN**0.5 * self._noise / max(motion, 1e-300)
+        noise = self._noise * float(np.linalg.norm(self._quantity.weights(self.frequency)))
+        return _NOISE_MARGIN**0.5 * noise / max(motion, 1e-300)
 
     def repetition(self, samples: Array, motion: float, feedback: float = 0.0) -> int:
         """Return the number of periods of the tone after which a motion repeats, as far as noise permits; 0: none.
@@ -86,8 +88,8 @@ class RepeatingTone(SteadyTone):
         # The windows of the comparison have two periods, and a Hann window has 1.5 times the noise.
         ratio = (1.5 * len(_COMPARED_ORDERS) * self.window * self.frequency / self.rate / 2.0) ** 0.5
         noise = ratio * self.relative_noise(motion)
-        differences, decay = irregularity_and_decay(samples, self.frequency, self.rate)
-        return repetition(differences, decay, self._settle.tolerance, noise, feedback)
+        amplitudes = amplitudes_of_periods(samples, self.frequency, self.rate)
+        return repetition(amplitudes, self._settle.tolerance, noise, feedback)
 
     def add_repetition(self, level: float, repetition: int) -> None:
         """Add a motion to those of the next warning."""
@@ -110,22 +112,13 @@ class RepeatingTone(SteadyTone):
         self._repetitions.clear()
 
 
-def irregularity(samples: Array, frequency: float, rate: float) -> list[float]:
-    """Return the differences of a motion after 1, 2, ... periods, up to half of the periods in its samples.
+def amplitudes_of_periods(samples: Array, frequency: float, rate: float) -> ComplexArray:
+    """Return the relative amplitudes of a motion in successive periods of a frequency in Hz, shape (windows, orders).
 
-    The differences are relative to the amplitude of the motion at its frequency in Hz. Chaotic and quasi-periodic
-    motions do not repeat, even if their envelopes at the frequency are nearly constant. `rate`: sample rate [Hz].
-
-    >>> t = np.arange(400)
-    >>> doubled, beating = (np.sin(t) + 0.1 * np.sin(ratio * t) for ratio in (0.5, 0.43))
-    >>> [difference < 1e-3 for difference in irregularity(doubled, 1.0, 2.0 * np.pi)[:4]]
-    [False, True, False, True]
-    >>> min(irregularity(beating, 1.0, 2.0 * np.pi)[:4]) > 0.02
-    True
+    The Hann windows have two periods, and begin one period apart. The norm of a difference over the orders is the
+    relative difference of two periods. `rate`: sample rate [Hz].
     """
-    period = rate / frequency
-    # Amplitudes in Hann windows of two periods that begin one period apart, shape (windows, orders).
-    rows = []
+    period, rows = rate / frequency, []
     for start in range(max(int(samples.size / period + 1e-6) - 1, 1)):
         first = ceil(start * period)
         inside = samples[first : ceil((start + 2) * period)]
@@ -134,42 +127,54 @@ def irregularity(samples: Array, frequency: float, rate: float) -> list[float]:
         turns = [np.exp(-2j * np.pi * order * local) for order in _COMPARED_ORDERS]
         rows.append([2.0 * np.sum(window * turn * inside) / np.sum(window) for turn in turns])
     amplitudes = np.array(rows)
-    scale = 2.0**0.5 * max(abs(complex(np.mean(amplitudes[:, 0]))), 1e-300)
-    return [
-        float(np.sqrt(np.mean(np.sum(abs(amplitudes[lag:] - amplitudes[:-lag]) ** 2, axis=1)))) / scale
-        for lag in range(1, len(rows) // 2 + 1)
-    ] or [0.0]
+    return amplitudes / (len(_COMPARED_ORDERS) ** 0.5 * max(abs(complex(np.mean(amplitudes[:, 0]))), 1e-300))
 
 
-def irregularity_and_decay(samples: Array, frequency: float, rate: float) -> tuple[list[float], float]:
-    """Return the irregularity, and the ratio of its first difference in the second half of the samples to this one."""
-    every, latest = (irregularity(part, frequency, rate) for part in (samples, samples[samples.size // 2 :]))
-    # A measurement of a few periods does not show whether their differences decrease.
-    return every, latest[0] / max(every[0], 1e-300) if any(latest) else 1.0
+def _deviations(amplitudes: ComplexArray, lag: int) -> tuple[Array, float]:
+    """Return the deviations of a motion from one that repeats after `lag` periods.
+
+    The first are the mean squared differences of two periods in each third of the measurement, or in all of a short
+    one; the second is the largest difference of the means of two thirds.
+    """
+    powers, means = [], []
+    for part in np.array_split(amplitudes, 3 if len(amplitudes) >= 3 * (lag + 2) else 1):
+        periods = [part[phase::lag] for phase in range(lag)]
+        residuals = [each - np.mean(each, axis=0) for each in periods]
+        powers.append(2.0 * sum(np.sum(abs(each) ** 2) for each in residuals) / max(len(part) - lag, 1))
+        means.append(np.mean([np.mean(each, axis=0) for each in periods], axis=0))
+    return np.array(powers), max(float(np.linalg.norm(mean - other)) for mean in means for other in means)
 
 
-def repetition(
-    differences: Sequence[float], decay: float, tolerance: float, noise: float, feedback: float = 0.0
-) -> int:
-    """Return the number of periods after which a motion repeats, from the result of `irregularity`; 0: none.
+def _is_transient(powers: Array, largest: float) -> bool:
+    """Return whether deviations decay to less than `largest`, by Aitken's extrapolation of their powers in thirds."""
+    if powers.size < 3:
+        return False
+    first, second, third = powers.tolist()
+    before, latest = first - second, second - third
+    persistent = third - latest**2 / (before - latest) if before > latest else third
+    return third < _MAX_DECAY * first and persistent < max((1.0 - _MIN_DECAYING_PART) * third, largest**2)
 
-    `decay`: ratio of the difference after one period in the second half of the samples to that in all samples;
+
+def repetition(amplitudes: ComplexArray, tolerance: float, noise: float, feedback: float = 0.0) -> int:
+    """Return the number of periods after which a motion repeats, from `amplitudes_of_periods`; 0: none.
+
     `tolerance`: of steady state; `noise`: largest expected difference by noise; `feedback`: change of the motion in a
     period by changes of the drive; all relative to the motion.
 
-    >>> repetition([0.5, 0.01, 0.5, 0.01], 1.0, 0.1, 0.0), repetition([0.04, 0.05, 0.04, 0.05], 1.0, 0.1, 0.0)
-    (2, 1)
+    >>> t = np.arange(400)
+    >>> motions = [np.sin(t) + 0.1 * np.sin(ratio * t) for ratio in (0.5, 0.43)]
+    >>> [repetition(amplitudes_of_periods(motion, 1.0, 2.0 * np.pi), 1e-3, 0.0) for motion in motions]
+    [2, 0]
     """
     # The force of a motion that does not repeat differs from that of the orbit by about as much as its periods.
-    largest = float(np.linalg.norm([tolerance, noise, _MAX_REPEATED_PERIODS * feedback]))
-    first = differences[:_MAX_REPEATED_PERIODS]
-    if decay < _MAX_DECAY:
-        # Other modes decay. They do not change the amplitude at the frequency of the tone. Their differences are about
-        # equal in near and distant periods; those of a slow beat grow.
-        beat_limit = max(_TWO_DEVIATIONS * largest, _MIN_BEAT_GROWTH * max(first))
-        return int(min(first) <= largest and (feedback > 0.0 or max(differences) <= beat_limit))
-    limit = min(_TWO_DEVIATIONS * largest, max(_MIN_MULTIPLE_RATIO * tolerance, _MIN_DIFFERENCE_RATIO * min(first)))
-    lag = next((lag for lag, difference in enumerate(first, 1) if difference <= limit), 0)
-    # A slow beat becomes apparent in distant periods. Feedback suppresses it.
-    is_beat = lag and not feedback and differences[len(differences) // lag * lag - 1] > _TWO_DEVIATIONS * largest
-    return 0 if is_beat else lag
+    largest = _TWO_DEVIATIONS * float(np.linalg.norm([tolerance, noise, _MAX_REPEATED_PERIODS * feedback]))
+    lags = range(1, min(_MAX_REPEATED_PERIODS, max(len(amplitudes) - 2, 1)) + 1)
+    powers, drifts = zip(*(_deviations(amplitudes, lag) for lag in lags), strict=True)
+    deviations = [float(np.mean(each)) ** 0.5 for each in powers]
+    limit = max(float(np.hypot(_MIN_MULTIPLE_RATIO * tolerance, noise)), _MIN_DEVIATION_RATIO * min(deviations))
+    lag = next((lag for lag, deviation in zip(lags, deviations, strict=True) if deviation <= min(limit, largest)), 0)
+    if _is_transient(powers[0], largest):
+        # Other modes decay. They do not change the amplitude at the frequency of the tone.
+        lag = 1
+    # A slow beat changes the means of long parts. Feedback suppresses it.
+    return lag if lag and (feedback or drifts[lag - 1] <= largest) else 0

@@ -1,25 +1,26 @@
 """Detection of the dwells of a sine or stepped-sine test in an imported file, which has no markers."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from daq.core.excitation.lock_in import lock_in, min_samples, whole_periods
+from daq.core.excitation.lock_in import lock_in, whole_periods
 from daq.core.recording.recorder import Recorder
 from daq.core.signal_chain.channel import ChannelInfo
 from daq.extras.importing.assignment import AssignedSignal
 from daq.extras.importing.dwells import Dwell, dwells
-from daq.extras.importing.tone_track import ToneTracker
+from daq.extras.importing.tone_track import LENGTH_RATIO, ToneTracker
 from rig.core.base.arrays import Array
 from rig.core.scene.scene import Scene
 
 # The searched frequency band extends beyond the band of the scene's test by this factor at either end: the scene may
 # state the band only roughly.
 _BAND_RATIO = 1.5
-# Number of blocks into which a tone is divided; fewer if `lock_in` needs longer blocks.
+# Highest frequency, as a ratio to the sample rate.
+_MAX_FREQUENCY_RATIO = 0.35
+# Maximum number of blocks of a dwell, and of samples in a block, from whose phases its frequency is estimated.
 _BLOCKS_PER_TONE = 8
-# Number of samples of a block, to limit the memory.
 _MAX_BLOCK = 1 << 16
 # Two dwells have the same frequency if the frequencies differ by less than this fraction, the error of two sample
 # clocks.
@@ -34,34 +35,34 @@ class DwellDetector:
         self._test, self._rate = scene.test, rate
         # The reference is a force, otherwise the drive, otherwise the motion of the table, otherwise the first channel.
         table = scene.at_driven("table") if scene.driven_shaker is not None else "table"
-        reference_rows = [
-            *(row for row, info in enumerate(channels) if info.quantity == "force"),
-            *(
-                row
-                for position in ("drive", table)
-                for row, info in enumerate(channels)
-                if info.at.startswith(position)
-            ),
-        ]
+        reference_rows = [row for row, info in enumerate(channels) if info.quantity == "force"]
+        for position in ("drive", table):
+            reference_rows += [row for row, info in enumerate(channels) if info.at.startswith(position)]
         self.reference_row = reference_rows[0] if reference_rows else 0
         self._reference = channels[self.reference_row]
-        test_hz = scene.test.dwells
-        self._tracker = ToneTracker(rate, min(test_hz) / _BAND_RATIO, max(test_hz) * _BAND_RATIO, self.reference_row)
+        # Shorter blocks resolve higher tones.
+        low = min(scene.test.dwells) / _BAND_RATIO
+        high = min(max(scene.test.dwells) * _BAND_RATIO, _MAX_FREQUENCY_RATIO * rate)
+        count = max(1, int(np.ceil(np.log(max(high / low, 1.0)) / np.log(LENGTH_RATIO))))
+        self._trackers = [
+            ToneTracker(rate, low * LENGTH_RATIO**k, len(channels), self.reference_row) for k in range(count)
+        ]
 
     def add(self, volts: Array) -> None:
         """Add the next samples, shape (channels, samples)."""
-        self._tracker.add(volts)
+        for tracker in self._trackers:
+            tracker.add(volts)
 
     def mark(self, recorder: Recorder, reference: AssignedSignal) -> list[str]:
         """Mark the steady part of each dwell; return a warning if no dwell is detected."""
-        tolerance = self._test.steady_state.tolerance
-        tones = _refine_frequencies(dwells(self._tracker.tracks(), tolerance), reference.volts, self._rate)
+        tones = dwells([tracker.track() for tracker in self._trackers], self._test.steady_state.tolerance)
         if not tones:
             return [
-                f"no dwell was detected: the scene's test is a {self._test.kind}, but {reference.channel.name} has no "
+                f"no dwell was detected: the scene's test is a {self._test.kind}, but {self._reference.name} has no "
                 "tone of constant frequency for ten periods above its noise. Check whether columns are swapped, or "
                 "the test was another (such as kind: swept_sine)."
             ]
+        tones = [replace(tone, frequency=_refined_frequency(tone, reference.volts, self._rate)) for tone in tones]
         for pass_number, (direction, indices) in enumerate(_passes([tone.frequency for tone in tones])):
             tones_of_pass = [tones[index] for index in indices]
             level = self._level(tones_of_pass, pass_number)
@@ -108,41 +109,16 @@ def _passes(frequencies: Sequence[float]) -> list[tuple[str, list[int]]]:
     return [("up" if sign > 0 else "down", indices) for sign, indices in passes]
 
 
-def _refine_frequencies(tones: Sequence[Dwell], read: Callable[[int, int], Array], rate: float) -> list[Dwell]:
-    """Return the dwells with frequencies refined by the phases of successive blocks, fitted with harmonics."""
-    tone_blocks = []
-    for tone in tones:
-        frequency, tone_samples = tone.frequency * rate, tone.stop - tone.first
-        block_samples = whole_periods(frequency, rate, min(tone_samples // _BLOCKS_PER_TONE, _MAX_BLOCK) / rate)
-        if block_samples < min_samples([frequency], rate) or 2 * block_samples > tone_samples:
-            block_samples = tone_samples // 2
-        tone_blocks.append((tone, block_samples))
-    segments = [
-        (start, start + size) for tone, size in tone_blocks for start in range(tone.first, tone.stop - size + 1, size)
-    ]
-    samples = _read_segments(read, segments)
-    return [replace(tone, frequency=_refined_frequency(tone, size, samples, rate)) for tone, size in tone_blocks]
-
-
-def _refined_frequency(tone: Dwell, block_samples: int, samples: Iterator[Array], rate: float) -> float:
-    """Return the frequency from the advance of the phase from block to block, periods per sample."""
-    starts = np.arange(tone.first, tone.stop - block_samples + 1, block_samples)
-    phases = np.array([lock_in(next(samples)[None], [tone.frequency * rate], rate)[0, 0] for _ in starts])
+def _refined_frequency(tone: Dwell, read: Callable[[int, int], Array], rate: float) -> float:
+    """Return the frequency, in periods per sample, by the phases in blocks that are fitted with harmonics."""
+    count = tone.stop - tone.first
+    size = whole_periods(tone.frequency * rate, rate, min(count // _BLOCKS_PER_TONE, _MAX_BLOCK) / rate)
+    size = min(size, count // 2)
+    starts = np.linspace(0, count - size, min(count // size, _BLOCKS_PER_TONE)).astype(int)
+    blocks = (read(tone.first + start, tone.first + start + size)[None] for start in starts.tolist())
+    phasors = np.array([lock_in(block, [tone.frequency * rate], rate)[0, 0] for block in blocks])
     # Phase advance that the current frequency does not explain.
-    residual = np.unwrap(np.angle(phases * np.exp(-2j * np.pi * np.fmod(tone.frequency * (starts - starts[0]), 1.0))))
-    residual, starts = residual[np.isfinite(residual)], starts[np.isfinite(residual)]
-    if residual.size < 2:
-        return tone.frequency
-    return tone.frequency + float(np.polyfit(starts - starts[0], residual, 1)[0]) / (2.0 * np.pi)
-
-
-def _read_segments(read: Callable[[int, int], Array], segments: Sequence[tuple[int, int]]) -> Iterator[Array]:
-    """Yield the samples of ordered segments without overlap; the ranges between them are read and discarded."""
-    position = 0
-    for first, stop in segments:
-        while position < first:
-            end = min(first, position + _MAX_BLOCK)
-            read(position, end)
-            position = end
-        yield read(first, stop)
-        position = stop
+    residual = np.unwrap(np.angle(phasors * np.exp(-2j * np.pi * np.fmod(tone.frequency * starts, 1.0))))
+    starts, residual = starts[np.isfinite(residual)], residual[np.isfinite(residual)]
+    slope = float(np.polyfit(starts, residual, 1)[0]) if residual.size > 1 else 0.0
+    return tone.frequency + slope / (2.0 * np.pi)

@@ -121,8 +121,8 @@ class _Segment:
 
     @property
     def phase(self) -> Array:
-        """Unwrapped phase of each block [rad]."""
-        return _unwrapped(self.track, self.first_block, self.stop_block)
+        """Phase of each block [rad]."""
+        return self.track.phase[self.first_block : self.stop_block]
 
     @property
     def amplitude(self) -> float:
@@ -143,16 +143,6 @@ class _Segment:
         return slope * scale, (slope - 2.0 * curvature) * scale, (slope + 2.0 * curvature) * scale
 
 
-def _unwrapped(track: Track, begin: int, end: int) -> Array:
-    """Return the phase of blocks [rad], unwrapped by their frequency (`Track.frequency`, periods per hop)."""
-    phase = track.phase[begin:end]
-    frequency = track.frequency[begin:end]
-    expected_advance = 2.0 * np.pi * (frequency[1:] + frequency[:-1]) / 2.0
-    advance = np.diff(phase)
-    advance += 2.0 * np.pi * np.round((expected_advance - advance) / (2.0 * np.pi))
-    return np.concatenate([phase[:1], phase[0] + np.cumsum(advance)])
-
-
 def _segments(track: Track) -> Iterator[_Segment]:
     """Cut a track into segments of linear phase."""
     if track.number.size < _MIN_BLOCKS:
@@ -165,7 +155,7 @@ def _segments(track: Track) -> Iterator[_Segment]:
     for begin, end in runs_of(is_continuous):
         if end + 1 - begin < _MIN_BLOCKS:
             continue
-        phase = _unwrapped(track, begin, end + 1)
+        phase = track.phase[begin : end + 1]
         tolerance = float(np.clip(_MAX_RESIDUAL_SIGMAS * _scatter(phase), _MIN_TOLERANCE_RAD, _MAX_TOLERANCE_RAD))
         windows = np.lib.stride_tricks.sliding_window_view(phase, _MIN_BLOCKS)
         is_linear = abs(windows @ to_residual).max(axis=1) < tolerance

@@ -31,47 +31,37 @@ class _FlatTops:
         self.top = self._last_value = -np.inf
         # First sample of each run, the sample after it, and the larger of the drops to its two neighbors.
         self._runs: list[tuple[int, int, float]] = []
-        # First sample of the run at the end of the last block, and the value before the run.
-        self._open_run: tuple[int, float] | None = None
 
     def add(self, first: int, samples: Array) -> None:
         """Add the next samples of the signal; the first has the number `first`."""
         values = self._sign * samples
         top = float(np.fmax.reduce(values, initial=-np.inf))
         if top > self.top:
-            self.top, self._runs, self._open_run = top, [], None
-        new_runs = runs_of(values == self.top)
-        if self._open_run is not None and not (new_runs and new_runs[0][0] == 0):
-            self._close_run(first, float(values[0]))
-        for begin, end in new_runs:
-            if begin > 0 or self._open_run is None:
-                self._open_run = first + begin, float(values[begin - 1]) if begin else self._last_value
-            if end < values.size:
-                self._close_run(first + end, float(values[end]))
-        self._last_value = float(values[-1])
-
-    def _close_run(self, stop: int, next_value: float) -> None:
-        assert self._open_run is not None
-        start, previous_value = self._open_run
+            self.top, self._runs = top, []
+        padded = np.concatenate([[self._last_value], values, [np.nan]])
+        runs = [
+            (first + begin, first + end, self.top - float(np.fmin(padded[begin], padded[end + 1])))
+            for begin, end in runs_of(values == self.top)
+        ]
+        if self._runs and self._runs[-1][1] == first:
+            # The run at the end of the last block continues, or the first of these samples is its neighbor.
+            start, _, drop = self._runs.pop()
+            _, stop, next_drop = runs.pop(0) if runs and runs[0][0] == first else (0, first, self.top - values[0])
+            runs.insert(0, (start, stop, float(np.fmax(drop, next_drop))))
         if len(self._runs) < _MAX_STORED:
-            self._runs.append((start, stop, self.top - float(np.fmin(previous_value, next_value))))
-        self._open_run = None
+            self._runs += runs
+        self._last_value = float(values[-1])
 
     @property
     def top_sample(self) -> int | None:
         """First sample with the largest value."""
-        if self._runs:
-            return self._runs[0][0]
-        return None if self._open_run is None else self._open_run[0]
+        return self._runs[0][0] if self._runs else None
 
-    def runs(self, stop: int, min_length: int, min_drop: float) -> list[tuple[int, int]]:
+    def runs(self, min_length: int, min_drop: float) -> list[tuple[int, int]]:
         """Return the runs [first, stop) of at least `min_length` samples at the largest value.
 
-        A run is returned only if the sample before or after it is lower by more than `min_drop`. `stop`: number of all
-        samples.
+        A run is returned only if the sample before or after it is lower by more than `min_drop`.
         """
-        if self._open_run is not None:
-            self._close_run(stop, np.nan)
         return [(a, b) for a, b, run_drop in self._runs if b - a >= min_length and run_drop > min_drop]
 
 
@@ -85,7 +75,6 @@ class ClippingDetector:
         self.full_scale, self._offset = full_scale, offset
         self._extremes = _FlatTops(1), _FlatTops(-1)
         self._smallest_step = np.inf
-        self._samples = 0
         self._at_full_scale: list[tuple[int, int]] = []
 
     @property
@@ -115,7 +104,6 @@ class ClippingDetector:
 
     def add(self, first: int, samples: Array) -> None:
         """Add the next samples; the first has the number `first`."""
-        self._samples = first + samples.size
         steps = abs(np.diff(samples))
         self._smallest_step = min(
             self._smallest_step, float(np.nanmin(np.where(steps > 0, steps, np.inf), initial=np.inf))
@@ -133,6 +121,6 @@ class ClippingDetector:
             for extreme in self._extremes
             # A constant near zero, such as a force between impacts, is not a flat top.
             if extreme.top > 0.5 * self.peak
-            for run in extreme.runs(self._samples, _MIN_FLAT_SAMPLES, _MIN_RISE_COUNTS * self._smallest_step)
+            for run in extreme.runs(_MIN_FLAT_SAMPLES, _MIN_RISE_COUNTS * self._smallest_step)
         ]
         return merge_spans([*flat_tops, *([] if self.full_scale_is_wrong else self._at_full_scale)])

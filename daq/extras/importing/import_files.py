@@ -22,9 +22,8 @@ from daq.extras.importing.channel_table import Column, columns_of
 from daq.extras.importing.dwell_detection import DwellDetector
 from daq.extras.importing.files import signals_of
 from daq.extras.importing.force_pulses import ForcePulses
-from daq.extras.importing.joined_files import GAP, are_repetitions, join_repetitions
 from daq.extras.importing.overloads import ClippingDetector
-from daq.extras.importing.signal import Signal
+from daq.extras.importing.signal import GAP, Signal, are_repetitions, join
 from rig.core.base.arrays import Array
 from rig.core.base.errors import RecordingError, RunWarning, SceneError
 from rig.core.base.input_files import as_path, duplicate_files
@@ -148,7 +147,12 @@ def import_files(
             and are_repetitions(files_of_signals)
             and not any(column.file for column in columns.values())
         )
-        signals = join_repetitions(files_of_signals) if is_joined else list(chain.from_iterable(files_of_signals))
+        if is_joined:
+            # Lost samples separate the impacts, because the time between them is unknown.
+            gaps = [GAP] * (len(paths) - 1)
+            signals = [join(repetitions, gaps) for repetitions in zip(*files_of_signals, strict=True)]
+        else:
+            signals = list(chain.from_iterable(files_of_signals))
         # This is checked after the files and the scene, because their errors are more helpful.
         resolve_output(target, overwrite, RecordingError)
         requires_force = bench_scene.test is not None and _detection(bench_scene) == "hits"
@@ -275,9 +279,7 @@ def _cut_to_times(
 
     def cut_signal(signal: Signal) -> Signal:
         return replace(
-            signal,
-            samples=max(min(stop, signal.samples) - start, 0),
-            read=lambda first, last: signal.read(start + first, start + last),
+            signal.part(start, max(min(stop, signal.samples), start)),
             start_s=signal.start_s + start / rate,
             separators=tuple((max(a - start, 0), max(b - start, 0)) for a, b in signal.separators if a < stop),
         )

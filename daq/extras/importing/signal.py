@@ -1,18 +1,22 @@
-"""A signal in a file of another program: name, unit and sample clock as stated in the file, and its samples."""
+"""A signal in files of another program: name, unit and sample clock as stated in the file, and its samples."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.extras.importing.clock import Clock, sample_numbers
+from daq.extras.importing.clock import Clock
 from rig.core.base.arrays import Array
 from rig.core.base.errors import RecordingError
+
+#: Number of lost samples between two files, or between two segments of a file, if the time between them is unknown.
+GAP = 16
 
 
 @dataclass(frozen=True)
@@ -53,27 +57,55 @@ class Signal:
     def with_gaps(self, clock: Clock) -> Signal:
         """Return the signal with NaN for the samples of missing rows."""
         missing = [(row, count) for row, count in clock.missing if row < self.samples]
-        if not missing:
-            return self
-        rows_after_gaps = np.array([row for row, _ in missing])
-        lost_before = np.cumsum([0, *(count for _, count in missing)])
-        first_numbers_after_gaps = rows_after_gaps + lost_before[1:]
+        limits = [0, *(row for row, _ in missing), self.samples]
+        parts = [self.part(*rows) for rows in pairwise(limits)]
+        return replace(join(parts, [count for _, count in missing]), separators=()) if missing else self
 
-        def row_of_sample(number: int) -> int:
-            """Return the first row whose sample number is at least `number`."""
-            gaps_before = int(np.searchsorted(first_numbers_after_gaps, number, side="right"))
-            row = number - int(lost_before[gaps_before])
-            return min(row, int(rows_after_gaps[gaps_before])) if gaps_before < rows_after_gaps.size else row
-
-        def read(start: int, stop: int) -> Array:
-            first, last = row_of_sample(start), row_of_sample(stop)
-            values = np.full(stop - start, np.nan)
-            if last > first:
-                values[sample_numbers(np.arange(first, last), missing) - start] = self.read(first, last)
-            return values
-
-        return replace(self, samples=self.samples + int(lost_before[-1]), read=read)
+    def part(self, first: int, stop: int) -> Signal:
+        """Return the samples [first, stop) as a signal with the same time zero."""
+        return replace(self, samples=stop - first, read=lambda start, end: self.read(first + start, first + end))
 
     def __str__(self) -> str:
         rate = "no sample rate" if self.rate is None else f"{self.rate:.10g} Hz"
         return f"{self.name!r}, {self.samples} samples, {rate}, unit {self.unit or 'not stated'}"
+
+
+def are_repetitions(files: Sequence[Sequence[Signal]]) -> bool:
+    """Return whether several files contain signals of the same names, in the same order."""
+    names = [[signal.name for signal in signals] for signals in files]
+    return len(files) > 1 and all(other == names[0] for other in names[1:])
+
+
+def join(signals: Sequence[Signal], gaps: Sequence[int]) -> Signal:
+    """Join signals of one name; `gaps`: numbers of lost samples between them.
+
+    Raises `RecordingError` if the signals differ in sample rate or unit.
+    """
+    first = signals[0]
+    for other in signals[1:]:
+        for what, expected, stated in (("rate", first.rate, other.rate), ("unit", first.unit, other.unit)):
+            if stated != expected:
+                raise RecordingError(
+                    f"{other.file}: the {what} of {other.name!r} is {stated or 'not stated'}, but {first.file} has "
+                    f"{expected or 'none'}. Import files with a different {what} separately."
+                )
+    sizes = np.array([signal.samples for signal in signals])
+    starts = np.cumsum([0, *(sizes[:-1] + gaps)])
+    ends = starts + sizes
+
+    def read(start: int, stop: int) -> Array:
+        values = np.full(stop - start, np.nan)
+        for index in range(int(np.searchsorted(ends, start, "right")), int(np.searchsorted(starts, stop))):
+            position = int(starts[index])
+            begin, end = max(start, position), min(stop, int(ends[index]))
+            values[begin - start : end - start] = signals[index].read(begin - position, end - position)
+        return values
+
+    return replace(
+        first,
+        file=", ".join(dict.fromkeys(signal.file for signal in signals)),
+        samples=int(ends[-1]),
+        read=read,
+        full_scale=first.full_scale if len({signal.full_scale for signal in signals}) == 1 else None,
+        separators=tuple(zip(ends[:-1].tolist(), starts[1:].tolist(), strict=True)),
+    )

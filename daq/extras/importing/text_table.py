@@ -21,7 +21,6 @@ from daq.extras.importing.clock import (
     warn,
     warn_used_as_times,
 )
-from daq.extras.importing.joined_files import GAP, are_repetitions, join
 from daq.extras.importing.labview_heading import (
     LABVIEW_BEGIN,
     LABVIEW_END,
@@ -29,7 +28,7 @@ from daq.extras.importing.labview_heading import (
     LabviewHeading,
     read_labview_heading,
 )
-from daq.extras.importing.signal import Signal
+from daq.extras.importing.signal import GAP, Signal, are_repetitions, join
 from daq.extras.importing.text_layout import (
     TIME_UNITS,
     UNNAMED,

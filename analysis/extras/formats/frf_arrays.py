@@ -2,7 +2,6 @@
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -34,19 +33,10 @@ _SPECTRUM = re.compile(r"(^|[._])(c?p?sd|(cross|power|auto)*_?spec(trum|tra)?)(x
 _MIN_LINES = 4
 
 
-@dataclass(frozen=True)
-class ResponseArrays:
-    """Responses by name, shape (lines,) each; their frequencies in Hz; coherence by name; unit, empty if not stated."""
-
-    values: dict[str, NDArray[np.complex128]]
-    frequency: Array
-    coherence: dict[str, Array]
-    unit: str
-
-
-def response_arrays(path: Path) -> ResponseArrays:
+def response_arrays(path: Path) -> tuple[dict[str, NDArray[np.complex128]], Array, dict[str, Array], str]:
     """Read the complex arrays of a file; two-dimensional arrays have a response in each column.
 
+    Returns the responses by name, their frequencies in Hz, their coherences by name, and their unit, empty if not stated.
     Raises `RecordingError` if there are no complex arrays, if they differ in length, or if their frequencies are not
     stated.
     """
@@ -85,8 +75,7 @@ def response_arrays(path: Path) -> ResponseArrays:
     if len(values) - len(real) == len(real) == 1:
         values = {name: column for name, column in values.items() if name not in real}
         coherence = dict(zip(values, real.values(), strict=True))
-    frequency = _frequencies(path, arrays, lines)
-    return ResponseArrays(values, frequency, coherence, _unit(arrays))
+    return values, _frequencies(path, arrays, lines), coherence, _unit(arrays)
 
 
 def _frequencies(path: Path, arrays: Mapping[str, NDArray[Any]], lines: int) -> Array:

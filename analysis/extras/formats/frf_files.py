@@ -256,40 +256,42 @@ def _from_long_table(path: Path, unit: str | None) -> list[Response]:
         if real is None or not {"response", "frequency_Hz", real.replace("real", "imag", 1)} <= {*heading}:
             return []
         motion, scale = _ratio(str(path), unit or real.removeprefix("real "))
-        names = ("imag", "magnitude_std", "systematic")
-        imag, deviation, systematic = (real.replace("real", name, 1) for name in names)
-        rows: dict[str, list[tuple[float, complex, float, float, float, float]]] = {}
-        inputs: dict[str, str] = {}
+        imag, deviation, systematic = (
+            real.replace("real", name, 1) for name in ("imag", "magnitude_std", "systematic")
+        )
+        # Rows by the names of test and response, and the references of these responses.
+        rows: dict[tuple[str, str], list[list[float]]] = {}
+        inputs: dict[tuple[str, str], str] = {}
         for row in reader:
             try:
                 # Empty cells are frequencies that the test omitted; a missing cell is an error.
-                parts = (float("nan" if row[name] == "" else row[name]) for name in (real, imag))
-                value = scale * complex(*parts)
-                columns = (
-                    float(row.get(name) or "nan") for name in (deviation, "coherence", "resolution_Hz", systematic)
-                )
-                error, coherence, resolution, bound = columns
-                point = float(row["frequency_Hz"]), value, scale * error, coherence, resolution, scale * bound
+                numbers = [
+                    float(row["frequency_Hz"]),
+                    *(float(row[name] if row[name] != "" else "nan") for name in (real, imag)),
+                ]
+                optional = (deviation, "coherence", "resolution_Hz", systematic)
+                numbers += [float(row.get(name) or "nan") for name in optional]
             except (TypeError, ValueError):
-                columns_text = f"frequency_Hz, {real}, {imag}"
                 raise RecordingError(
                     f"{path}:{reader.line_num}: a cell is not a number; expected numbers in the columns "
-                    f"{columns_text}. Correct this row."
+                    f"frequency_Hz, {real}, {imag}. Correct this row."
                 ) from None
-            name = f"{row.get('scene') or ''}\0{unescape_cell(row['response'] or '')}"
-            rows.setdefault(name, []).append(point)
-            inputs[name] = unescape_cell(row.get("reference") or "").removeprefix("force at ")
-    scenes = {name.partition("\0")[0] for name in rows}
+            key = row.get("scene") or "", unescape_cell(row["response"] or "")
+            rows.setdefault(key, []).append(numbers)
+            inputs[key] = unescape_cell(row.get("reference") or "").removeprefix("force at ")
+    scenes = {scene for scene, _ in rows}
     if len(scenes) > 1:
         raise SceneError(
             f"{path}: curves of several tests ({', '.join(sorted(scenes))[:200]}). Write a separate file for each test."
         )
     curves = []
-    for name, points in rows.items():
-        frequency, values, errors, coherences, resolutions, bounds = map(np.array, zip(*points, strict=True))
-        stated = float(resolutions[0]) if 0.0 <= resolutions[0] < np.inf else None
-        curve = _curve(path, name.partition("\0")[2], frequency, values, motion, coherences, errors, stated, bounds)
-        curves.append(curve.placed("", inputs[name] if inputs[name] != "force" else ""))
+    for (scene, name), numbers_of_curve in rows.items():
+        frequency, real_part, imaginary_part, error, coherence, resolution, bound = np.array(numbers_of_curve).T
+        stated = float(resolution[0]) if 0.0 <= resolution[0] < np.inf else None
+        value = scale * (real_part + 1j * imaginary_part)
+        curve = _curve(path, name, frequency, value, motion, coherence, scale * error, stated, scale * bound)
+        reference = inputs[scene, name]
+        curves.append(curve.placed("", reference if reference != "force" else ""))
     return curves
 
 
@@ -385,12 +387,9 @@ def _linear_magnitude(where: str, unit: str, magnitude: Array) -> tuple[str, Arr
 
 def _from_arrays(path: Path, unit: str | None) -> list[Response]:
     """Read complex arrays of a MATLAB or numpy file."""
-    content = response_arrays(path)
-    motion, scale = _ratio(str(path), unit or content.unit)
-    return [
-        _curve(path, name, content.frequency, scale * value, motion, content.coherence[name])
-        for name, value in content.values.items()
-    ]
+    values, frequency, coherence, stated_unit = response_arrays(path)
+    motion, scale = _ratio(str(path), unit or stated_unit)
+    return [_curve(path, name, frequency, scale * value, motion, coherence[name]) for name, value in values.items()]
 
 
 def _unnamed_curve(path: Path, frequency: Array, real: Array, imag: Array, unit: str | None) -> Response:

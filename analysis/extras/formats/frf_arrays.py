@@ -36,7 +36,7 @@ _MIN_LINES = 4
 def response_arrays(path: Path) -> tuple[dict[str, NDArray[np.complex128]], Array, dict[str, Array], str]:
     """Read the complex arrays of a file; two-dimensional arrays have a response in each column.
 
-    Returns the responses by name, their frequencies in Hz, their coherences by name, and their unit, empty if not stated.
+    Returns responses by name, frequencies in Hz, coherences by name, and the unit, empty if not stated.
     Raises `RecordingError` if there are no complex arrays, if they differ in length, or if their frequencies are not
     stated.
     """

@@ -211,8 +211,5 @@ def _clock_of(path: Path, name: str, scalars: Mapping[str, float], clocks: Mappi
             )
         return Clock(scalars[key], start)
     for key in matching_names(_INTERVAL_NAMES, scalars):
-        try:
-            return Clock(rate_of_interval(scalars[key]), start)
-        except RecordingError as error:
-            raise RecordingError(f"{path}: {key}: {error}") from None
+        return Clock(rate_of_interval(scalars[key], where=f"{path}: {key}"), start)
     return Clock(None, start)

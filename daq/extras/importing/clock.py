@@ -82,10 +82,11 @@ def time_scale(unit: str, where: str) -> float:
         raise RecordingError(f"{where}: {error}; expected a unit of time such as s or ms") from None
 
 
-def rate_of_interval(interval: float, max_error: float = 0.0) -> float:
+def rate_of_interval(interval: float, max_error: float = 0.0, where: str = "") -> float:
     """Return the rate [Hz] with the fewest digits that agrees with a sample interval [s] within `max_error` [s].
 
-    If the interval has fewer digits than this rate, the interval is exact, and the rate is 1 / interval.
+    If the interval has fewer digits than this rate, the interval is exact, and the rate is 1 / interval. `where` begins
+    the message of the `RecordingError` for an impossible interval.
 
     >>> rate_of_interval(1.52588e-05, 5e-11), rate_of_interval(1.95312e-05, 5e-11)
     (65536.0, 51200.0)
@@ -95,11 +96,14 @@ def rate_of_interval(interval: float, max_error: float = 0.0) -> float:
     Traceback (most recent call last):
     rig.core.base.errors.RecordingError: the sample interval 0.0001 s ± 1 s has too few digits. Export it with more.
     """
+    prefix = f"{where}: " if where else ""
     if not (math.isfinite(interval) and 1e-9 < interval < 1e7):
-        raise RecordingError(f"the sample interval is {interval!r} s; expected 1e-9 s to 1e7 s. Correct the file.")
+        raise RecordingError(
+            f"{prefix}the sample interval is {interval!r} s; expected 1e-9 s to 1e7 s. Correct the file."
+        )
     if max_error >= interval:
         raise RecordingError(
-            f"the sample interval {interval:.6g} s ± {max_error:.2g} s has too few digits. Export it with more."
+            f"{prefix}the sample interval {interval:.6g} s ± {max_error:.2g} s has too few digits. Export it with more."
         )
     relative_error = max(max_error / interval, _RATE_ROUNDING)
     reciprocal = 1.0 / interval
@@ -159,10 +163,7 @@ def clock_of_times(times: Array, resolution: float, where: str) -> Clock:
             squares, deviation = squares + float(residual @ residual), max(deviation, float(abs(residual).max()))
         # Four standard uncertainties of the slope.
         error = 4.0 * math.sqrt(squares / times.size / sum_of_squares)
-        try:
-            rate = rate_of_interval(interval, error)
-        except RecordingError as uneven:
-            raise RecordingError(f"{where}: {uneven}") from None
+        rate = rate_of_interval(interval, error, where)
         first = mean_time - middle / rate
         _require_even(times, missing, first, rate, resolution, where)
         warn(
@@ -231,10 +232,7 @@ def _rate_with_gaps(
         raise RecordingError(f"{where} do not increase: from {first!r} s to {last!r} s. Sort the rows by time.")
     lost_total = sum(count for _, count in missing)
     intervals = rows + lost_total - 1
-    try:
-        rate = rate_of_interval((last - first) / intervals, resolution / intervals)
-    except RecordingError as error:
-        raise RecordingError(f"{where}: {error}") from None
+    rate = rate_of_interval((last - first) / intervals, resolution / intervals, where)
     if missing:
         places = "one place" if len(missing) == 1 else f"{len(missing)} places"
         lost = "1 sample is" if lost_total == 1 else f"{lost_total} samples are"

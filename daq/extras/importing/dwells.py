@@ -66,10 +66,10 @@ def dwells(tracks: Sequence[Track], tolerance: float) -> list[Dwell]:
     The phase of a sweep is linear for a short time only, and its frequency drifts within a segment. The phase of noise
     is rarely linear. `tolerance` is the largest relative change of a steady amplitude.
     """
-    segments = [segment for track in tracks for segment in _segments(track) if not segment.is_amplitude_changing]
+    segments = [segment for track in tracks for segment in _segments(track) if not _is_amplitude_changing(segment)]
     # If segments overlap, only the longest is used.
     segments.sort(key=lambda segment: segment.stop_sample - segment.first_sample, reverse=True)
-    disjoint: list[_Segment] = []
+    disjoint: list[Track] = []
     for segment in segments:
         overlaps = (
             kept.first_sample < segment.stop_sample and segment.first_sample < kept.stop_sample for kept in disjoint
@@ -81,7 +81,7 @@ def dwells(tracks: Sequence[Track], tolerance: float) -> list[Dwell]:
     if not disjoint or _dwell_share(disjoint, tracks[-1]) < _MIN_DWELL_SHARE:
         return []
     # In a sweep the frequency drifts within a segment as much as from one segment to the next.
-    middle_frequency, start_frequency, end_frequency = np.array([segment.frequencies() for segment in disjoint]).T
+    middle_frequency, start_frequency, end_frequency = np.array([_frequencies(segment) for segment in disjoint]).T
     spacing = abs(np.diff(middle_frequency))
     spacing[spacing < _SAME_FREQUENCY * middle_frequency[1:]] = np.inf
     smaller_spacing = np.minimum(np.append(spacing, np.inf), np.insert(spacing, 0, np.inf))
@@ -98,52 +98,22 @@ def dwells(tracks: Sequence[Track], tolerance: float) -> list[Dwell]:
     return tones
 
 
-@dataclass(frozen=True)
-class _Segment:
-    """Successive blocks of a track whose phase is linear in time."""
-
-    track: Track
-    first_block: int  # first block, by its position in the track
-    stop_block: int  # block after the last block
-
-    def middle(self, block: int) -> int:
-        """Return the index of the sample in the middle of a block."""
-        return int((self.track.number[block] + HOPS_PER_BLOCK / 2) * self.track.hop)
-
-    @property
-    def first_sample(self) -> int:
-        """Sample in the middle of the first block; its first half may still contain the previous tone."""
-        return self.middle(self.first_block)
-
-    @property
-    def stop_sample(self) -> int:
-        return self.middle(self.stop_block - 1)
-
-    @property
-    def phase(self) -> Array:
-        """Phase of each block [rad]."""
-        return self.track.phase[self.first_block : self.stop_block]
-
-    @property
-    def amplitude(self) -> float:
-        return float(np.median(self.track.amplitude[self.first_block : self.stop_block]))
-
-    @property
-    def is_amplitude_changing(self) -> bool:
-        """Whether the amplitude changes in the second half."""
-        log_amplitude = np.log(self.track.amplitude[(self.first_block + self.stop_block) // 2 : self.stop_block])
-        slope = np.polyfit(np.linspace(0.0, 1.0, log_amplitude.size), log_amplitude, 1)[0]
-        return bool(abs(slope) > _MAX_AMPLITUDE_CHANGE)
-
-    def frequencies(self) -> tuple[float, float, float]:
-        """Return the frequency (periods per sample) in the middle, at the start and at the end, by a parabola fit."""
-        phase = self.phase
-        _, slope, curvature = np.polynomial.polynomial.polyfit(np.linspace(-1.0, 1.0, phase.size), phase, 2)
-        scale = 2.0 / ((phase.size - 1) * self.track.hop * 2.0 * np.pi)
-        return slope * scale, (slope - 2.0 * curvature) * scale, (slope + 2.0 * curvature) * scale
+def _is_amplitude_changing(segment: Track) -> bool:
+    """Return whether the amplitude changes in the second half."""
+    log_amplitude = np.log(segment.amplitude[segment.amplitude.size // 2 :])
+    slope = np.polyfit(np.linspace(0.0, 1.0, log_amplitude.size), log_amplitude, 1)[0]
+    return bool(abs(slope) > _MAX_AMPLITUDE_CHANGE)
 
 
-def _segments(track: Track) -> Iterator[_Segment]:
+def _frequencies(segment: Track) -> tuple[float, float, float]:
+    """Return the frequency (periods per sample) in the middle, at the start and at the end, by a parabola fit."""
+    phase = segment.phase
+    _, slope, curvature = np.polynomial.polynomial.polyfit(np.linspace(-1.0, 1.0, phase.size), phase, 2)
+    scale = 2.0 / ((phase.size - 1) * segment.hop * 2.0 * np.pi)
+    return slope * scale, (slope - 2.0 * curvature) * scale, (slope + 2.0 * curvature) * scale
+
+
+def _segments(track: Track) -> Iterator[Track]:
     """Cut a track into segments of linear phase."""
     if track.number.size < _MIN_BLOCKS:
         return
@@ -173,7 +143,7 @@ def _segments(track: Track) -> Iterator[_Segment]:
                     extension //= 2
             first, last = _constant_range(phase[start:stop])
             if last - first >= _MIN_BLOCKS:
-                yield _Segment(track, begin + start + first, begin + start + last)
+                yield track.part(begin + start + first, begin + start + last)
             start = stop
 
 
@@ -202,32 +172,26 @@ def _constant_range(phase: Array) -> tuple[int, int]:
     return (int(first_half[-1]) + 1 if first_half.size else 0), (int(second_half[0]) if second_half.size else size)
 
 
-def _dwell_share(segments: Sequence[_Segment], track: Track) -> float:
+def _dwell_share(segments: Sequence[Track], track: Track) -> float:
     """Return the total duration of the dwells, relative to the time with a signal."""
-    silence = _SILENCE_RATIO * float(np.median([segment.amplitude for segment in segments]))
+    silence = _SILENCE_RATIO * float(np.median([np.median(segment.amplitude) for segment in segments]))
     return sum(segment.stop_sample - segment.first_sample for segment in segments) / (
         track.hop * max(int(np.sum(track.levels > silence)), 1)
     )
 
 
-def _measure_dwell(segment: _Segment, tolerance: float) -> Dwell:
+def _measure_dwell(segment: Track, tolerance: float) -> Dwell:
     """Return the dwell in a segment, without the transient at the beginning of the segment."""
-    track, blocks = segment.track, slice(segment.first_block, segment.stop_block)
-    amplitude = track.amplitude[blocks]
-    channels = np.vstack([track.ratio[:, blocks], (amplitude / np.median(amplitude))[None]])
+    amplitude = segment.amplitude
+    channels = np.vstack([segment.ratio, (amplitude / np.median(amplitude))[None]])
     channels = channels[np.isfinite(channels).all(axis=1)]
     is_steady, first_steady = False, 0
     for share in _FINAL_SHARES:
         if not is_steady and amplitude.size * share >= _MIN_BLOCKS:
             is_steady, first_steady = _steady_range(channels, round(amplitude.size * (1.0 - share)), tolerance)
-    frequency = float(np.polyfit(np.arange(amplitude.size - first_steady), segment.phase[first_steady:], 1)[0])
-    return Dwell(
-        segment.middle(segment.first_block + first_steady),
-        segment.stop_sample,
-        frequency / (2.0 * np.pi * track.hop),
-        float(np.median(amplitude[first_steady:])),
-        is_steady,
-    )
+    steady = segment.part(first_steady)
+    frequency = float(np.polyfit(np.arange(steady.phase.size), steady.phase, 1)[0]) / (2.0 * np.pi * segment.hop)
+    return Dwell(steady.first_sample, steady.stop_sample, frequency, float(np.median(steady.amplitude)), is_steady)
 
 
 def _steady_range(channels: ComplexArray, late_block: int, tolerance: float) -> tuple[bool, int]:

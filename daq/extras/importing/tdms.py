@@ -110,14 +110,12 @@ def _signal(path: Path, number: int, channel: Any, has_several_groups: bool, clo
     where = f"{path}: {name!r}"
     interval, offset = properties.get("wf_increment"), properties.get("wf_start_offset", 0.0)
     try:
-        channel_clock = Clock(rate_of_interval(float(interval)) if interval else None, float(offset))
+        channel_clock = Clock(rate_of_interval(float(interval), where=where) if interval else None, float(offset))
     except (TypeError, ValueError):
         raise RecordingError(
             f"{where}: wf_increment is {interval!r}, wf_start_offset is {offset!r}; expected numbers, in s. Correct "
             "the file."
         ) from None
-    except RecordingError as error:
-        raise RecordingError(f"{where}: {error}") from None
     if interval is not None and channel.dtype is not None and channel.dtype.kind not in "fiu":
         raise RecordingError(
             f"{where} contains values of type {channel.dtype}; expected real numbers. Export it as real samples."

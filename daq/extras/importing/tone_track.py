@@ -3,7 +3,9 @@
 The frequency is interpolated between the lines of a Hann-windowed spectrum.
 """
 
-from dataclasses import dataclass
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,7 +34,25 @@ class Track:
     phase: Array  # Phase at the middle of each block, unwrapped between successive blocks by their frequency [rad]
     amplitude: Array  # Amplitude in each block, in the unit of the reference
     ratio: ComplexArray  # Complex ratio of every channel to the reference, shape (channels, blocks)
-    levels: NDArray[np.float32]  # rms of the reference about its mean in each block, even without a tone
+    levels: NDArray[np.float32]  # rms of the reference about its mean in all blocks, even without a tone
+
+    @property
+    def first_sample(self) -> int:
+        """Sample in the middle of the first block; its first half may still contain the previous tone."""
+        return int((self.number[0] + HOPS_PER_BLOCK / 2) * self.hop)
+
+    @property
+    def stop_sample(self) -> int:
+        """Sample in the middle of the last block."""
+        return int((self.number[-1] + HOPS_PER_BLOCK / 2) * self.hop)
+
+    def part(self, first: int, stop: int | None = None) -> Track:
+        """Return the blocks from the position `first` to before `stop`."""
+        blocks = slice(first, stop)
+        values = {
+            name: getattr(self, name)[..., blocks] for name in ("number", "frequency", "phase", "amplitude", "ratio")
+        }
+        return replace(self, **values)
 
 
 class ToneTracker:

@@ -144,10 +144,7 @@ def _signal(path: Path, number: int, name: str, data_set: Mapping[str, Any]) -> 
     where, scale = f"{path}: the times of {name!r}", _time_unit(data_set)
     if int(data_set["abscissa_spacing"]):
         interval = scale * float(data_set["abscissa_inc"])
-        try:
-            rate = _stated_rate(data_set) or rate_of_interval(interval, _last_digit(interval) / 2)
-        except RecordingError as error:
-            raise RecordingError(f"{where}: {error}") from None
+        rate = _stated_rate(data_set) or rate_of_interval(interval, _last_digit(interval) / 2, where)
         clock = Clock(rate, scale * float(data_set["abscissa_min"]))
     else:
         times = np.asarray(data_set["x"], dtype=float)

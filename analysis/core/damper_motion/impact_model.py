@@ -49,6 +49,8 @@ _WINDOW_DECAY_TIMES = 3.0
 _FILTER_SPAN_SAMPLES = 40
 # The window includes this part of the impulse response of a decimation filter [samples].
 _FILTER_WINDOW_SAMPLES = 12
+# Number of rows whose filters are computed together: small enough for the cache.
+_BLOCK_ROWS = 1000
 # Singular values of the filters below this fraction of the largest are rounding errors.
 _RANK_TOLERANCE = 1e-12
 
@@ -68,7 +70,7 @@ class UnitResponses(NamedTuple):
 class ImpactModel:
     """Responses to unit velocity jump, acceleration step and slope change, and the filters that estimate them.
 
-    All arrays are differences of successive samples, so the response to a jump is short. The order of the
+    Arrays are differences of successive samples, so the response to a jump is short. The order of the
     differences is two higher than the number of integrations in the channel. The fit itself is a least-squares fit of
     the readings, because the noise of the readings is white.
 
@@ -82,11 +84,10 @@ class ImpactModel:
     """Number of sub-sample times in a sample interval."""
     search_stride: int
     """The search uses every n-th sub-sample time, with this n; 1: all."""
-    filters: Array
-    """Filters for the slope change, for the step orthogonal to the slope change, and for the jump orthogonal to both,
-    each with unit noise gain; shape (rows, 3, window)."""
-    r_factors: Array
-    """Upper triangular matrices from slope change, step and jump to filter outputs; shape (rows, 3, 3)."""
+    responses: Array
+    """Readings in a window after unit slope change, step and jump; shape (3, rows, window + `difference_order`)."""
+    filter_order: int
+    """Order of the polynomial to which the filters are orthogonal."""
     window_start: int
     """Index of the window's first difference relative to its sample 0."""
     unit_differences: Array
@@ -97,6 +98,45 @@ class ImpactModel:
     """Order of the polynomial for the smooth motion in the readings of a window."""
     contact_samples: int
     """Contact duration of an impact [samples]; 0: instantaneous."""
+
+    @cached_property
+    def _filters(self) -> tuple[Array, Array]:
+        """`filters` and `r_factors`; computed for the models that the search chooses only."""
+        rows = range(0, self.responses.shape[1], _BLOCK_ROWS)
+        blocks = [self._filters_of(self.responses[:, first : first + _BLOCK_ROWS]) for first in rows]
+        filters, r_factors = zip(*blocks, strict=True)
+        return np.concatenate(filters), np.concatenate(r_factors)
+
+    @property
+    def filters(self) -> Array:
+        """Filters for the slope change, for the step orthogonal to it, and for the jump orthogonal to both.
+
+        Each has unit noise gain; shape (rows, 3, window).
+        """
+        return self._filters[0]
+
+    @property
+    def r_factors(self) -> Array:
+        """Upper triangular matrices from slope change, step and jump to filter outputs; shape (rows, 3, 3)."""
+        return self._filters[1]
+
+    @cached_property
+    def middle_filter(self) -> Array:
+        """Filter for a jump in the middle of a window; shape (window,)."""
+        row = (2 * MAX_SHIFT + 1) * self.instants_per_sample // 2
+        return self._filters_of(self.responses[:, row : row + 1])[0][0, 2]
+
+    def _filters_of(self, responses: Array) -> tuple[Array, Array]:
+        count = responses.shape[-1]
+        polynomials = legendre_basis(count, self.filter_order)
+        # A single projection leaves rounding errors, because polynomials are much larger than the response to a jump.
+        for _ in range(2):
+            responses = responses - (responses @ polynomials) @ polynomials.T
+        basis, r_factors = _orthogonalize(responses)
+        # By summation by parts, these sums of a basis and the differences give the same outputs as the basis and the
+        # responses.
+        sums = np.linalg.matrix_power(-np.triu(np.ones((count, count))), self.difference_order)
+        return np.swapaxes(basis @ sums[:, : -self.difference_order], 0, 1), r_factors
 
     @cached_property
     def search_basis(self) -> tuple[Array, Array]:
@@ -116,21 +156,19 @@ class ImpactModel:
         rows = self.filters[self.search_stride // 2 :: self.search_stride]
         return np.ascontiguousarray(rows).reshape(-1, self.window_length)
 
-    @cached_property
-    def _outputs_to_amplitudes(self) -> Array:
-        """Matrices from filter outputs to jump, step and slope change; shape (rows, 3, 3)."""
-        return np.asarray(np.linalg.inv(self.r_factors)[:, ::-1], dtype=np.float64)
+    def _amplitudes(self, row: int, outputs: Array) -> Array:
+        """Return jump, step and slope change of filter outputs at a row."""
+        return np.asarray(np.linalg.solve(self.r_factors[row], outputs)[::-1], dtype=np.float64)
 
-    @cached_property
-    def templates(self) -> Array:
-        """Responses to unit jump, step and slope change without smooth motion; shape (rows, 3, window)."""
+    def templates(self, rows: NDArray[np.intp]) -> Array:
+        """Return responses to unit jump, step and slope change without smooth motion, shape (rows, 3, window)."""
         begin = self.window_start - self.unit_start
-        return self.readings(self.unit_differences[..., begin : begin + self.window_length])
+        return self.readings(self.unit_differences[rows, :, begin : begin + self.window_length])
 
     @cached_property
     def window_length(self) -> int:
         """Number of differences in one window."""
-        return int(self.filters.shape[-1])
+        return self.responses.shape[-1] - self.difference_order
 
     @cached_property
     def min_separation(self) -> int:
@@ -146,7 +184,7 @@ class ImpactModel:
     def noise_gain(self) -> float:
         """Largest standard uncertainty of a jump over the sub-sample times [m/s] for readings with unit noise."""
         middle = slice(MAX_SHIFT * self.instants_per_sample, (MAX_SHIFT + 1) * self.instants_per_sample)
-        return float(1.0 / abs(self.r_factors[middle, 2, 2]).min())
+        return float(1.0 / self._filters_of(self.responses[:, middle])[1][:, 2, 2].min())
 
     @cached_property
     def template_norm(self) -> float:
@@ -214,12 +252,12 @@ class ImpactModel:
             left, middle, right = explained[best - 1 : best + 2]
             curvature = left - 2.0 * middle + right
             offset = min(max(0.5 * (left - right) / curvature, -0.5), 0.5) if curvature < 0 else 0.0
-        amplitudes = self._outputs_to_amplitudes[row] @ outputs[best]
+        amplitudes = self._amplitudes(row, outputs[best])
         if offset:
             direction = 1 if offset > 0 else -1
-            neighbor_amplitudes = self._outputs_to_amplitudes[row + direction] @ outputs[best + direction]
+            neighbor_amplitudes = self._amplitudes(row + direction, outputs[best + direction])
             amplitudes = (1.0 - abs(offset)) * amplitudes + abs(offset) * neighbor_amplitudes
-        error = noise / abs(self.r_factors[row, 2, 2])
+        error = noise / self.r_factors[row, 2, 2]
         time = (row + offset + 0.5) / self.instants_per_sample - MAX_SHIFT
         return time, amplitudes, error, float(explained[best])
 
@@ -283,21 +321,24 @@ def _impact_models(
     )
     unit_differences = np.diff(responses, 2, axis=-1) / rate**integrations
     in_window = responses[..., margin : margin + before + after]
-    filters_of_orders = _filters(in_window, integrations, rate)
+    readings = np.concatenate([np.zeros((*in_window.shape[:-1], integrations)), in_window], axis=-1)
+    for _ in range(integrations):
+        readings = np.cumsum(readings, axis=-1) / rate
+    readings = np.ascontiguousarray(np.moveaxis(readings, 1, 0)[::-1])
     return tuple(
         ImpactModel(
             difference_order=integrations + 2,
             instants_per_sample=instants_per_sample,
             search_stride=stride,
-            filters=filters,
-            r_factors=r_factors,
+            responses=readings,
+            filter_order=order + integrations,
             window_start=3 - before,
             unit_differences=unit_differences,
             unit_start=3 - before - margin,
             polynomial_order=order + integrations,
             contact_samples=contact,
         )
-        for order, (filters, r_factors) in zip(ORDERS, filters_of_orders, strict=True)
+        for order in ORDERS
     )
 
 
@@ -341,29 +382,6 @@ def _acceleration_responses(
     sample = np.arange(1 - before, after + 1)
     indices = (before + MAX_SHIFT + sample) * instants - jump_time[:, None] - 1
     return np.stack([response[indices] for response in (jump, step, slope_change)], axis=1)
-
-
-def _filters(acceleration_responses: Array, integrations: int, rate: float) -> list[tuple[Array, Array]]:
-    """Compute `ImpactModel.filters` and `ImpactModel.r_factors` for each order of `ORDERS`."""
-    shape = (*acceleration_responses.shape[:-1], integrations)
-    responses = np.concatenate([np.zeros(shape), acceleration_responses], axis=-1)
-    for _ in range(integrations):
-        responses = np.cumsum(responses, axis=-1) / rate
-    # Slope change, step and jump, each without its smooth motion of the order.
-    residual, count = np.ascontiguousarray(np.moveaxis(responses, 1, 0)[::-1]), responses.shape[-1]
-    # By summation by parts, these sums of a basis and the differences give the same outputs as the basis and the
-    # responses.
-    differences = integrations + 2
-    sums = np.linalg.matrix_power(-np.triu(np.ones((count, count))), differences)[:, :-differences]
-    filters_of_orders = []
-    # A single projection leaves rounding errors, because polynomials are much larger than the response to a jump.
-    for order in (ORDERS[0], *ORDERS):
-        polynomials = legendre_basis(count, order + integrations)
-        residual = residual - (residual @ polynomials) @ polynomials.T
-        filters_of_orders.append(residual)
-    return [
-        (np.swapaxes(basis @ sums, 0, 1), r_factors) for basis, r_factors in map(_orthogonalize, filters_of_orders[1:])
-    ]
 
 
 def _orthogonalize(columns: Array) -> tuple[Array, Array]:

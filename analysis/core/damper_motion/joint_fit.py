@@ -129,8 +129,9 @@ def estimate_errors(
     amplitudes = np.array([jump.amplitudes for jump in jumps])
     windows = np.lib.stride_tricks.sliding_window_view(residual, model.window_length)
     residual_windows = windows[np.clip(sample + model.window_start - model.difference_order, 0, len(windows) - 1)]
-    change = model.templates[row + 1] - model.templates[row]
-    units = model.templates[row] + weight[:, None, None] * change
+    units = model.templates(row)
+    change = model.templates(row + 1) - units
+    units = units + weight[:, None, None] * change
     readings = model.readings(residual_windows, model.polynomial_order) + np.einsum("ji,jil->jl", amplitudes, units)
     ridge = np.zeros((len(jumps), 4))
     ridge[:, 1], ridge[:, 2] = noise / prior[0], noise / prior[1]

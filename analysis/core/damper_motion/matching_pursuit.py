@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.core.damper_motion.group_search import cost, search_group
-from analysis.core.damper_motion.impact_model import MAX_SHIFT, ImpactModel, legendre_basis, with_order
+from analysis.core.damper_motion.impact_model import ImpactModel, legendre_basis, with_order
 from analysis.core.damper_motion.joint_fit import (
     ITERATIONS,
     Deviations,
@@ -384,8 +384,7 @@ class MatchingPursuit:
         from scipy.ndimage import maximum_filter1d
         from scipy.special import ndtri
 
-        middle_filter = model.filters[(2 * MAX_SHIFT + 1) * model.instants_per_sample // 2, 2]
-        magnitude = abs(np.correlate(self.residual, middle_filter, "valid"))
+        magnitude = abs(np.correlate(self.residual, model.middle_filter, "valid"))
         typical = float(_quantile(magnitude[self.valid], noise_quantile))
         magnitude[~self.valid] = typical
         parts = max(1, magnitude.size // (_NOISE_WINDOWS * model.window_length))

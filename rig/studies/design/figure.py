@@ -33,7 +33,7 @@ _LEVEL_LINES = "-", "--", "-.", ":"
 _LEVEL_MARKERS = "os^Dv"
 # Number of frequencies of the drawn response without dampers: about one per pixel.
 _RESPONSE_POINTS = 800
-#: A clearance is at a limit of the search if it differs from the limit by at most this fraction.
+#: A clearance or mass is at a limit of the search if it differs from the limit by at most this fraction.
 LIMIT_TOLERANCE = 0.02
 _OTHER_MOTION = (
     "At one frequency several steady-state motions may exist. The design assumes the motion with the largest "
@@ -241,10 +241,12 @@ def _draw(design: Design) -> Figure:
         _draw_reductions(reductions, design)
         _draw_responses(responses, design)
         levels = ", ".join(map(format_number, design.question.levels))
+        is_all = design.best.choice.mass > (1.0 - LIMIT_TOLERANCE) * design.space.max_mass
         add_page_title(
             figure,
             f"Design (computed): {headline(design)}",
-            f"{design.scene.name}; largest peak at {levels} {design.question.level.unit} without and with dampers",
+            f"{design.scene.name}; largest peak at {levels} {design.question.level.unit} without and with dampers"
+            + "; the dampers have all the mass of the budget" * is_all,
         )
         return figure
 

@@ -119,6 +119,6 @@ def modes_figure(frfs: Sequence[Response], modes: Modes, title: str, remarks: Se
         data = "Points" if is_sparse else "Broad and pale"
         add_legend_below(
             figure, f"{data}: measured. Lines: modal model. ±: {intervals_text(unstated_tolerances(frfs))}.",
-            "Shapes: the largest element is +1.", *remarks,
+            "Shapes: the largest component is +1.", *remarks,
         )  # fmt: skip
         return figure

@@ -234,7 +234,7 @@ def _modes(results: Sequence[Measurement], baseline: Measurement) -> list[str]:
                 for k in range(modes.frequency.size)
             ]
             sections += [f"<h3>{escape_html(modes.label)}</h3>", f'<div class="shapes">{"".join(drawings)}</div>']
-    scale = '<p class="test">The largest element of each shape is ±1, with the signs of the baseline.</p>'
+    scale = '<p class="test">The largest component of each shape is ±1, with the signs of the baseline.</p>'
     return [scale, *sections] if sections else []
 
 

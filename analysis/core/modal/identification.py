@@ -180,7 +180,7 @@ def _modes_of_band(curves: Sequence[Response], fitted: FittedModes) -> Identifie
 
 
 def _shape_uncertainties(curves: Sequence[Response], poles: ComplexArray, residue: ComplexArray) -> Array:
-    """Return standard uncertainties of shapes with largest element 1, from curves at resonance; (responses, modes)."""
+    """Return standard uncertainties of shapes with largest component 1, from curves at resonance."""
     # Errors of the reference, of the clock and of common readings cancel in the ratio of two curves.
     frequency: Array = np.asarray(abs(poles) / (2 * np.pi), dtype=float)
     largest = np.argmax(abs(residue), axis=0)
@@ -189,10 +189,10 @@ def _shape_uncertainties(curves: Sequence[Response], poles: ComplexArray, residu
         modes = np.flatnonzero(largest == row)
         for k in np.delete(np.arange(len(curves)), row).tolist():
             is_common = np.isfinite(curves[k].value) & np.isfinite(curves[row].value)
-            element, scale = (
+            component, scale = (
                 curve.at(nearest_lines(curve, frequency[modes], is_common)) for curve in (curves[k], curves[row])
             )
-            ratio = element.uncertainty.of_ratio(scale.uncertainty, element.value, scale.value)
+            ratio = component.uncertainty.of_ratio(scale.uncertainty, component.value, scale.value)
             error[k, modes] = ratio.combined()
     return error
 

@@ -32,7 +32,7 @@ _POLE_STYLES = ((False, "x", "#bbbbbb", "new pole"), (True, "o", "#333333", "sta
 
 
 class BodyShapes(NamedTuple):
-    """Mode shapes with an element for each body, scaled to largest element 1, with standard uncertainties."""
+    """Mode shapes with a component for each body, scaled to largest component 1, with standard uncertainties."""
 
     names: tuple[str, ...]
     shapes: ComplexArray  # shape (bodies, modes)
@@ -90,7 +90,7 @@ class Modes(Result):
         Damping ratio and its standard uncertainty; if this is more than a third of the ratio, only an upper limit is
         known: ``damping + 2 damping_std``.
     shape_std : ndarray, shape (responses, modes)
-        Standard uncertainty of each element of `shapes`, from the uncertainty of the curves at the resonance, including
+        Standard uncertainty of each entry of `shapes`, from the uncertainty of the curves at the resonance, including
         sensor tolerances.
     residue : ndarray of complex, shape (responses, modes)
         R in the compliance R/(s - p) + conj(R)/(s - conj(p)), m/(N s).
@@ -233,18 +233,18 @@ class Modes(Result):
 
     @property
     def shapes(self) -> ComplexArray:
-        """Return the shapes scaled to largest element 1, shape (responses, modes)."""
+        """Return the shapes scaled to largest component 1, shape (responses, modes)."""
         largest = np.argmax(abs(self.residue), axis=0)
         return self.residue / self.residue[largest, np.arange(self.residue.shape[1])]
 
     def of_bodies(self) -> BodyShapes:
-        """Return an element of each shape for each body, in the order of bodies: the weighted mean of its sensors."""
+        """Return a component of each shape for each body, in the order of bodies: the weighted mean of its sensors."""
         places = self.places or ("",) * len(self.responses)
         # A channel with an unknown location is a separate point.
         keys = [place or f"channel {name}" for place, name in zip(places, self.responses, strict=True)]
         number = dict(zip(keys, self.bodies or (0,) * len(keys), strict=True))
         names, shapes, errors = [], [], []
-        # The largest element scales a shape without uncertainty; it gets the weight of the most precise other element.
+        # The largest component scales a shape without uncertainty; it gets the weight of the most precise other.
         smallest_error = np.min(self.shape_std, axis=0, initial=np.inf, where=self.shape_std > 0.0)
         weights = 1.0 / np.where(np.isfinite(smallest_error), np.maximum(self.shape_std, smallest_error), 1.0) ** 2
         ordered = sorted(number, key=lambda key: number[key] or inf)

@@ -1,7 +1,7 @@
 """Responses of fixed sensors to impacts at several points, as responses of these points to forces at the sensors.
 
 By the reciprocity theorem of Maxwell and Betti, output and input of a curve may be exchanged. Modes are then identified
-from all curves at once, and their shapes have an element for each point of impact.
+from all curves at once, and their shapes have a component for each point of impact.
 """
 
 from collections.abc import Sequence
@@ -24,13 +24,13 @@ def exchange_points(curves: Sequence[Response]) -> Response:
     Raises `SceneError` if there is one point only, or if a point lacks a sensor or has impacts in several tests. Raises
     `RecordingError` if the curves have too few lines in common.
     """
-    elements = {(curve.input_at, curve.output_at or curve.response): curve for curve in curves}
-    points, sensors = (list(dict.fromkeys(names)) for names in zip(*elements, strict=True))
-    if len(points) < 2 or not len(elements) == len(curves) == len(points) * len(sensors):
+    by_points = {(curve.input_at, curve.output_at or curve.response): curve for curve in curves}
+    points, sensors = (list(dict.fromkeys(names)) for names in zip(*by_points, strict=True))
+    if len(points) < 2 or not len(by_points) == len(curves) == len(points) * len(sensors):
         raise SceneError(
             f"roving hammer: {len(curves)} curves of impacts at {', '.join(points)[:200]} with sensors at "
-            f"{', '.join(sensors)[:200]}; expected one file for each of several points, with the same sensors. Give "
-            "files of this kind."
+            f"{', '.join(sensors)[:200]}; expected every sensor at each of several points. "
+            "Record one file for each point, with the same sensors."
         )
     lines = reduce(np.intersect1d, [curve.frequency for curve in curves])
     if lines.size < _MIN_LINES:
@@ -46,7 +46,7 @@ def exchange_points(curves: Sequence[Response]) -> Response:
         )
         for point in points
         for sensor in sensors
-        for curve in [elements[point, sensor]]
+        for curve in [by_points[point, sensor]]
     ]
     label = f"{curves[0].label} and {len(points) - 1} other points"
     return replace(stack(exchanged, len(sensors)), label=label)

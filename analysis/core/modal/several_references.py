@@ -1,6 +1,6 @@
 """Modes from responses to several inputs, for repeated and close modes that a single input cannot separate.
 
-All elements of the matrix have the same poles. The residue of a pole is the outer product of a shape and its modal
+All entries of the matrix have the same poles. The residue of a pole is the outer product of a shape and its modal
 participation factors, one for each input. The residue of a repeated pole is a sum of such products; the number of
 products is the rank of the residue matrix [1]_. Identification adds a second pole next to a pole if this improves the
 fit significantly. A pole is reported as repeated only if no second pole was added next to it.
@@ -27,7 +27,7 @@ _MIN_RATIO = 0.02
 def separate(modes: Modes, inputs: tuple[str, ...], outputs: tuple[Point, ...]) -> Modes:
     """Separate the modes of each pole by the singular values of its residues.
 
-    `modes`: modes identified from all elements of a matrix, in the order of the outputs; `inputs`: names of the inputs.
+    `modes`: modes identified from all entries of a matrix, in the order of the outputs; `inputs`: names of the inputs.
     Returns modes with the residues of one input, for which the smallest participation factor is the largest.
     """
     n_outputs, n_inputs = len(outputs), len(inputs)

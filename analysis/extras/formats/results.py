@@ -43,7 +43,7 @@ def export_results(
                 lines.append(f"{curves.label}: {curves.name} of {curves.response} by {curves.input}")
             else:
                 modes = identify(curves)
-                # Responses with unbounded uncertainty have no element in the mode shapes.
+                # Responses with unbounded uncertainty have no component in the mode shapes.
                 mode_nodes = [nodes[curves.keys().index(name)] for name in modes.responses]
                 mat.write_modes(modes, temporary) if kind == ".mat" else uff.write_modes(modes, temporary, mode_nodes)
                 lines.append(modes.summary())

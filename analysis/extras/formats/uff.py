@@ -79,7 +79,7 @@ def _write_pieces(file: BinaryIO, fields: dict[str, Any], count: int, pieces: It
 def write_modes(modes: Modes, path: Path, nodes: Sequence[int]) -> None:
     """Write a UFF text file with a data set 55 (complex eigenvalue) for each mode: pole in rad/s, shape along +Z.
 
-    The largest element of each shape is scaled to 1, because UFF 55 states no scaling.
+    The largest component of each shape is scaled to 1, because UFF 55 states no scaling.
     """
     file = universal_file(path, modes.label, nodes)
     for number, (pole, shape) in enumerate(zip(modes.poles, modes.shapes.T, strict=True), start=1):

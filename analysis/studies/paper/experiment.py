@@ -57,7 +57,7 @@ def bare_sweep(scene: Scene, path: Path) -> Arrays:
 
     Returns the entries of `sweep`; `transfer`, the transmissibilities X_j / X_0, shape (bodies, points); `omega` and
     `omega_error` in rad/s, and `damping`, the damping ratios, each of shape (modes,); and the mode `shapes`, with a
-    largest element of 1, shape (bodies, modes).
+    largest component of 1, shape (bodies, modes).
     """
     with open_or_record(scene, path) as recording:
         arrays = sweep(scene, path)

@@ -14,7 +14,7 @@ CONVERGENCE_TOLERANCE = 3e-13
 
 
 class IterationLimits(NamedTuple):
-    """Limits beyond which `newton_solve` ends without a solution; the size of a correction is its largest element.
+    """Limits beyond which `newton_solve` ends without a solution; the size of a correction is its largest entry.
 
     The default sizes only prevent instants of events from becoming arbitrarily large.
     """

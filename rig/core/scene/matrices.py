@@ -15,7 +15,7 @@ from rig.core.settings.settings import Settings
 
 # Maximum number of bodies of a structure: a matrix then has 32 MB.
 MAX_BODIES = 2000
-# Largest asymmetry of matrices from other programs (rounding error), relative to the largest element.
+# Largest asymmetry of matrices from other programs (rounding error), relative to the largest entry.
 MAX_ASYMMETRY = 1e-9
 FOLDER = "folder"  # key of the validation context: folder of the scene file and its .npy files
 

@@ -37,7 +37,7 @@ class NaturalModes:
     """
 
     omega: Array  # natural frequencies, increasing [rad/s]; 0 for a rigid-body motion, shape (modes,)
-    shapes: Array  # column i is the shape of mode i, its largest element +1, shape (bodies, modes)
+    shapes: Array  # column i is the shape of mode i, its largest component +1, shape (bodies, modes)
     mass: Array
     damping: Array
 
@@ -330,7 +330,7 @@ def natural_modes(mass: Array, stiffness: Array) -> tuple[Array, Array]:
 
     `mass`, `stiffness`, shape (bodies, bodies): symmetric; mass positive definite, stiffness positive semidefinite.
     Returns `omega`, shape (bodies,): natural frequencies, increasing [rad/s]; 0 for a rigid-body motion; and `shapes`,
-    shape (bodies, bodies): column i is the shape of mode i, with largest element +1. Raises `SceneError` if the
+    shape (bodies, bodies): column i is the shape of mode i, with largest component +1. Raises `SceneError` if the
     modes cannot be computed, or the structure is statically unstable (a negative eigenvalue larger than rounding
     errors).
     """

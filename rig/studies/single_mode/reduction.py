@@ -2,7 +2,7 @@
 
 For mode i, the structure is replaced with a single mass M_i on a spring K_i with a dashpot C_i. The force f_k on body k
 acts on this mass as phi_ki f_k, with the mode shape phi. The mass carries one damper of mass mu_i M_i in a cavity with
-the scene's clearance. M_i depends on the normalization of the mode shape: the paper sets its largest element to 1, so
+the scene's clearance. M_i depends on the normalization of the mode shape: the paper sets its largest component to 1, so
 the single mass represents the body with the largest displacement.
 
 mu_i is computed with one of two weightings of the masses md_j of the dampers in bodies j. As printed (Eq. 13), mu_i is

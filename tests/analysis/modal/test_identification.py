@@ -391,7 +391,7 @@ def test_sensor_tolerance_is_in_shape_uncertainty(sweep):
     largest = abs(modes.shapes).argmax(axis=0)
     for mode in range(3):
         for response in range(3):
-            # Shapes are relative to their largest element, so that its error is in all other elements.
+            # Shapes are relative to their largest component, so that its error is in all other components.
             is_uncertain = response != largest[mode] and 1 in (response, largest[mode])
             error = relative_error[response, mode]
             assert (0.09 < error < 0.15) if is_uncertain else error < 0.01
@@ -407,7 +407,7 @@ def test_force_tolerance_does_not_affect_shapes(sweep) -> None:
 def test_shapes_contain_tolerances_of_two_sensors(sweep) -> None:
     [curves] = analysis.frequency_responses(sweep)
     modes = analysis.identify([with_sensors(curve, force=0.11, **{curve.response: 0.11}) for curve in curves])
-    # An element is the ratio of two readings: two independent limits of error of 11 %, without that of the force.
+    # A component is the ratio of two readings: two independent limits of error of 11 %, without that of the force.
     np.testing.assert_allclose(
         modes.shape_std, abs(modes.shapes) * 0.11 * np.sqrt(2.0 / 3.0) * (modes.shape_std > 0.0), rtol=0.05
     )

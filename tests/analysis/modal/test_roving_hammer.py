@@ -35,7 +35,7 @@ def hit(point: int, sensor: int, frequency: Array = FREQUENCY) -> Response:
     )
 
 
-def test_shapes_have_an_element_for_each_point() -> None:
+def test_shapes_have_a_component_for_each_point() -> None:
     modes = analysis.identify(exchange_points([hit(point, 3) for point in (1, 2, 3)]))
     np.testing.assert_allclose(modes.frequency, NATURAL, rtol=1e-4)
     assert modes.places == ("body 1", "body 2", "body 3") and modes.input == "force at body 3"
@@ -62,7 +62,7 @@ def test_common_lines_are_used() -> None:
 
 @pytest.mark.parametrize("pairs", [[(1, 3)], [(1, 3), (1, 3)], [(1, 3), (2, 2)]])
 def test_missing_points_are_refused(pairs: list[tuple[int, int]]) -> None:
-    with pytest.raises(SceneError, match="expected one file for each of several points, with the same sensors"):
+    with pytest.raises(SceneError, match="Record one file for each point, with the same sensors"):
         exchange_points([hit(*pair) for pair in pairs])
 
 

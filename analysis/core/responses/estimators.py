@@ -18,13 +18,11 @@ from numpy.typing import NDArray
 from analysis.core.recordings.slices import read_slices
 from analysis.core.responses.checks.clean_segments import Flaw, find_flaws
 from analysis.core.responses.checks.several_inputs import MAX_CONDITION_NUMBER, condition, unit_power
-from analysis.core.responses.errors.budget import assemble_budget
-from analysis.core.responses.errors.random_errors import MeanErrors
+from analysis.core.responses.errors.budget import Quotient
+from analysis.core.responses.errors.random_errors import MeanErrors, SharedErrors
 from analysis.core.responses.errors.systematic import (
     LEAKAGE,
     REFERENCE_NOISE,
-    ChannelContributions,
-    common_scale,
     reference_noise_limit,
     rounding_limit,
     shared_noise_limit,
@@ -78,7 +76,6 @@ class AveragedSpectra:
     factor: ComplexArray
     n_averages: float  # equivalent number of independent blocks; overlapping blocks count as fewer
     resolution: float  # bandwidth of the window in Hz; 0 without leakage (bursts that end inside their block)
-    label: str = ""  # for legends
     warnings: tuple[str, ...] = ()  # in full sentences
     # largest relative change of each channel's gain due to rounding, as in `rounding_limit`; shape (channels, n)
     rounding_gain_error: Array = field(default_factory=lambda: np.zeros((1, 1)))
@@ -93,20 +90,24 @@ class AveragedSpectra:
 
         `others`: other inputs. Numerator and denominator are conditioned on them (section 7.3).
         """
-        inputs = (denominator, *others)
-        names = tuple(dict.fromkeys(name for each in (numerator, *inputs) for name in each.channels))
+        quotient = Quotient(rec, numerator, denominator, others, self.frequency)
+        names, response_weights, reference_weights = (
+            quotient.names,
+            quotient.response_weights,
+            quotient.reference_weights,
+        )
         positions = [self.channels.index(name) for name in names]
         factor = self.factor[:, positions]
         rounding = np.broadcast_to(self.rounding_gain_error, (len(self.channels), self.frequency.size))[positions]
-        response_weights = numerator.row(rec, names, self.frequency)
-        reference_weights = denominator.row(rec, names, self.frequency)
         x, f = (np.einsum("in,rin->nr", row, factor) for row in (response_weights, reference_weights))
         reject_zero_reference(rec, denominator, f)
         several = None
         if others:
-            rows = [each.row(rec, names, self.frequency) for each in inputs]
+            if self.estimator == "H2":
+                raise SceneError("estimator: got 'H2'; expected H1 or Hv for several inputs")
+            rows = [reference_weights, *(other.row(rec, names, self.frequency) for other in others)]
             amplitudes = np.stack([np.einsum("in,rin->nr", row, factor) for row in rows], axis=2)
-            input_names = [each.channels[0] for each in inputs]
+            input_names = [each.channels[0] for each in (denominator, *others)]
             outputs = [k for k, name in enumerate(self.channels) if name not in input_names]
             several = _SeveralInputs(x, amplitudes, np.argsort(input_names), self.factor[:, outputs].transpose(2, 0, 1))
             x, f = several.conditioned()
@@ -114,8 +115,6 @@ class AveragedSpectra:
         sxf = np.sum(x * f.conj(), axis=1)
         is_coherent = several is not None and several.condition > MAX_CONDITION_NUMBER
         sff = np.where(is_coherent, 1.0, sff)  # avoids a division by zero; the response to coherent inputs has no value
-        if several is not None and self.estimator == "H2":
-            raise SceneError("estimator: got 'H2'; expected H1 or Hv for several inputs")
         value = estimate(self.estimator, sxx, sff, sxf)
         if several is not None and self.estimator == "Hv":
             value = np.where(is_coherent, value, several.total_least_squares())
@@ -123,10 +122,8 @@ class AveragedSpectra:
         with np.errstate(divide="ignore", invalid="ignore"):
             incoherence = np.sum(np.square(np.abs(x - (sxf / sff)[:, None] * f)), axis=1) / (abs(sxf) ** 2 / sff)
         coherence = 1.0 / (1.0 + incoherence)
-        # Reading of each channel per unit of the reference.
-        readings = np.einsum("rin,nr->in", factor, f.conj()) / sff
         # Each input uses up a degree of freedom of the averages. The coherence of few blocks remains too large.
-        n_free_averages = self.n_averages - len(inputs)
+        n_free_averages = self.n_averages - (1 + len(others))
         error = np.full(value.shape, np.nan)
         if n_free_averages > 0.0:
             error = abs(value) * np.sqrt(incoherence / (2.0 * n_free_averages))
@@ -134,10 +131,8 @@ class AveragedSpectra:
         if self.leakage_free is not None:
             leakage_free = self.leakage_free.frf(rec, numerator, denominator, others)
             limits[LEAKAGE] = leakage(self.frequency, value, error, leakage_free)
-        contributions = ChannelContributions(
-            names, self.frequency, numerator.motion, value, response_weights * readings, reference_weights * readings
-        )
-        change_per_reading = response_weights - value * reference_weights
+        contributions = quotient.contributions(value, np.einsum("rin,nr->in", factor, f.conj()) / sff)
+        change_per_reading = quotient.change_per_reading(value)
         noise_bias = reference_noise_limit(value, coherence)
         if len(denominator.channels) > 1:
             noise = self._incoherent_power(factor, [names.index(name) for name in denominator.channels])
@@ -151,18 +146,11 @@ class AveragedSpectra:
         if several is not None:
             deviations = several.deviations() / np.sqrt(max(n_free_averages, 1e-300))
             coherence = several.multiple_coherence()
-            value = np.where(is_coherent, np.nan, value)
-        degrees_of_freedom = np.full(value.shape, max(2.0 * n_free_averages, 0.0))
         reference_limits = [np.sum(zero_safe_product(np.abs(contributions.reference), rounding), axis=0)]
-        budget = assemble_budget(
-            rec, contributions, error, degrees_of_freedom, limits, reference_limits,
-            MeanErrors.of(self.factor, deviations),
-            scale=common_scale(rec, numerator.channels, denominator.channels),
-        )  # fmt: skip
-        return Response.curve(
-            self.frequency, value, numerator.channels[0], reference=denominator.reference, motion=numerator.motion,
-            uncertainty=budget, coherence=coherence, label=self.label, resolution=self.resolution,
-            warnings=self.warnings,
+        return quotient.response(
+            contributions, error, np.full(value.shape, max(2.0 * n_free_averages, 0.0)), limits, reference_limits,
+            SharedErrors.of(MeanErrors(self.factor, deviations)), value=np.where(is_coherent, np.nan, value),
+            coherence=coherence, resolution=self.resolution, warnings=self.warnings,
         )  # fmt: skip
 
     def _incoherent_power(self, factor: ComplexArray, rows: Sequence[int]) -> Array:
@@ -237,7 +225,7 @@ class _SeveralInputs:
     def deviations(self) -> ComplexArray:
         """Return the residual times the reference in the basis of all inputs, shape (lines, rows inputs).
 
-        The covariance of two elements, the covariance of the residuals times the inverse of the input spectra, follows
+        The covariance of two entries, the covariance of the residuals times the inverse of the input spectra, follows
         from it.
         """
         q, _ = np.linalg.qr(self.inputs[:, :, self.order])
@@ -375,7 +363,7 @@ def block_spectra(
         end_ratio = max(end_ratio, float(np.max(abs(samples[:, -max(1, block_samples // 50) :]).max(axis=1) / largest)))
     averaged = AveragedSpectra(
         tuple(names), frequency[in_band], averages.factor(),
-        independent_blocks(window, step, used) if used else 0.0, 0.0, rec.scene.name,
+        independent_blocks(window, step, used) if used else 0.0, 0.0,
     )  # fmt: skip
     return BlockSpectra(averaged, used, all_flaws, end_ratio, power / max(used, 1))
 

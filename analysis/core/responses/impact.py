@@ -34,7 +34,7 @@ def segment_fits(rec: Recording, channels: Sequence[str]) -> SegmentFits:
     low = 4.0 * rec.rate / impacts.interval
     return SegmentFits(
         tuple(channels), 0, rec.samples, low, impacts.highest_frequency(rec), impacts.unmarked, impacts,
-        label=rec.scene.name, warnings=warn_of_dampers(rec),
+        warnings=warn_of_dampers(rec),
     )  # fmt: skip
 
 

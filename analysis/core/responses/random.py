@@ -37,7 +37,7 @@ def segment_fits(rec: Recording, marker: Marker, channels: Sequence[str]) -> Seg
     return SegmentFits(
         tuple(channels), marker.first_sample, stop, low, high,
         settling_flaws(rec, channels, marker.first_sample, stop, low),
-        bursts=bursts, label=rec.scene.name, warnings=warn_of_dampers(rec),
+        bursts=bursts, warnings=warn_of_dampers(rec),
     )  # fmt: skip
 
 

@@ -63,7 +63,6 @@ class SegmentFits:
     impacts: HammerImpacts | None = None  # impacts of a hammer; None for other tests
     # period of bursts and duration of each burst in samples; None for tests without bursts
     bursts: tuple[int, int] | None = None
-    label: str = ""  # for legends
     warnings: tuple[str, ...] = ()  # in full sentences
     # spectra of random tests by channels, because all responses use the same spectra
     stored: dict[tuple[str, ...], LocalSpectra] = field(default_factory=dict)
@@ -76,7 +75,7 @@ class SegmentFits:
         warnings = (*self.warnings, *notes)
         if self.impacts is None:
             spectra = self.spectra(rec, self.channels, segments)
-            return spectra.frf(rec, numerator, denominator, self.label, warnings, others=others)
+            return spectra.frf(rec, numerator, denominator, others, warnings=warnings)
         # Whether the rig was at rest before the impacts is determined from the channels of each response.
         names = tuple(dict.fromkeys([*numerator.channels, *denominator.channels]))
         longest = max(stop - start for start, stop in segments)
@@ -85,7 +84,7 @@ class SegmentFits:
             prior_motion = [self.impacts.prior_motion(rec, names, *bounds) for bounds in group]
             spectra = self._spectra(rec, names, group, prior_motion, longest)
             noise = force_noise(self.impacts, rec, group, spectra.frequency[spectra.lines])
-            frf = spectra.frf(rec, numerator, denominator, self.label, warnings, noise)
+            frf = spectra.frf(rec, numerator, denominator, reference_noise=noise, warnings=warnings)
             frf = _with_motion_before(frf, prior_motion)
             # The arrays of the errors are large: those of the first group are stored, and represent all groups.
             curves.append(replace(frf, uncertainty=replace(frf.uncertainty, errors=None)) if curves else frf)

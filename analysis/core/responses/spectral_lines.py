@@ -12,11 +12,11 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from analysis.core.responses.errors.budget import assemble_budget
-from analysis.core.responses.errors.random_errors import MeanErrors
+from analysis.core.responses.errors.budget import Quotient
+from analysis.core.responses.errors.random_errors import MeanErrors, SharedErrors
 from analysis.core.responses.errors.ringing import ringing
 from analysis.core.responses.errors.scatter import Scatter, moderate
-from analysis.core.responses.errors.systematic import RESOLUTION, UNSETTLED, ChannelContributions, common_scale
+from analysis.core.responses.errors.systematic import RESOLUTION, UNSETTLED
 from analysis.core.responses.measurands import Measurand, reject_zero_reference
 from daq.core.recording.recording import Recording
 from rig.core.base.arrays import Array, ComplexArray
@@ -78,19 +78,21 @@ class Lines:
 
         `others`: other inputs.
         """
-        names = tuple(dict.fromkeys(name for each in (numerator, denominator, *others) for name in each.channels))
-        positions = self._positions(names, denominator)
-        mean, scatter, noise, residual_transient, resolution = self._rows_of(positions)
-        response_weights = numerator.row(rec, names, self.frequency)
-        reference_weights = denominator.row(rec, names, self.frequency)
+        quotient = Quotient(rec, numerator, denominator, others, self.frequency)
+        names, response_weights, reference_weights = (
+            quotient.names,
+            quotient.response_weights,
+            quotient.reference_weights,
+        )
+        mean, scatter, noise, residual_transient, resolution = self._rows_of(names, denominator)
         x, f = np.sum(response_weights * mean, axis=0), np.sum(reference_weights * mean, axis=0)
         reject_zero_reference(rec, denominator, f)
         value = x / f
         # d(x/f) = (dx - value df) / f, and both are sums over the same channels.
-        change = response_weights - value * reference_weights
+        change = quotient.change_per_reading(value)
         explained, variances = [abs(x) ** 2], []
         for other in others:
-            other_mean, other_scatter, *_ = self._rows_of(self._positions(names, other))
+            other_mean, other_scatter, *_ = self._rows_of(names, other)
             other_weights = other.row(rec, names, self.frequency)
             other_x, other_f = (np.sum(row * other_mean, axis=0) for row in (response_weights, other_weights))
             change = change - other_x / other_f * other_weights
@@ -119,36 +121,27 @@ class Lines:
             if others:
                 unexplained = sum(each.variance(change) for each in (scatter, *variances)) / sum(explained)
             coherence = 1.0 / (1.0 + averages * unexplained)
-        contributions = ChannelContributions(
-            names, self.frequency, numerator.motion, value, response_weights * mean / f, reference_weights * mean / f
-        )
-        amplitude = None if self.unsteady is None else abs(f)
-        budget = assemble_budget(
-            rec, contributions, error, degrees_of_freedom, limits, reference_limits,
-            MeanErrors.of(self.scatter.rows, np.einsum("cn,rcn->nr", weights, scatter.rows)),
-            scale=common_scale(rec, numerator.channels, denominator.channels),
-        )  # fmt: skip
-        return Response.curve(
-            self.frequency, value, numerator.channels[0], reference=denominator.reference, motion=numerator.motion,
-            uncertainty=budget, coherence=coherence, label=self.label, warnings=self.warnings, unsteady=self.unsteady,
-            amplitude=amplitude, omitted=self.omitted,
+        return quotient.response(
+            quotient.contributions(value, mean / f), error, degrees_of_freedom, limits, reference_limits,
+            SharedErrors.of(MeanErrors(self.scatter.rows, np.einsum("cn,rcn->nr", weights, scatter.rows))),
+            coherence=coherence, label=self.label, warnings=self.warnings, unsteady=self.unsteady,
+            amplitude=None if self.unsteady is None else abs(f), omitted=self.omitted,
         )  # fmt: skip
 
-    def _positions(self, names: Sequence[str], reference: Measurand) -> list[int]:
-        """Return the rows of channels; with several inputs, the rows due to the reference."""
-        block = self.inputs.index(reference.channels[0]) * len(self.channels) if self.inputs else 0
-        return [block + self.channels.index(name) for name in names]
-
-    def _rows_of(self, positions: Sequence[int]) -> tuple[ComplexArray, Scatter, Scatter, Array | None, Array | None]:
-        """Return mean, scatter, noise, residual transient and resolution of given channels."""
+    def _rows_of(
+        self, names: Sequence[str], reference: Measurand
+    ) -> tuple[ComplexArray, Scatter, Scatter, Array | None, Array | None]:
+        """Return mean, scatter, noise, residual transient and resolution of channels, as far as due to a reference."""
+        first = self.inputs.index(reference.channels[0]) * len(self.channels) if self.inputs else 0
+        rows = [first + self.channels.index(name) for name in names]
         scatter, noise = (
-            Scatter(each.rows[:, positions], each.degrees_of_freedom)
+            Scatter(each.rows[:, rows], each.degrees_of_freedom)
             for each in (self.scatter, self.scatter if self.noise is None else self.noise)
         )
         transient, resolution = (
-            None if bound is None else bound[positions] for bound in (self.residual_transient, self.resolution)
+            None if bound is None else bound[rows] for bound in (self.residual_transient, self.resolution)
         )
-        return self.mean[positions], scatter, noise, transient, resolution
+        return self.mean[rows], scatter, noise, transient, resolution
 
     def _reference_noise(self, reference_weights: ComplexArray, noise: Scatter) -> Array:
         """Compute the largest amplitude of noise in the reference at each line; shape (n,).

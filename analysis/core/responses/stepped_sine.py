@@ -5,7 +5,7 @@ fitted after the other tones are subtracted. A *sweep* is a pass through the fre
 amplitude of the force or drive) in one *direction*, up or down.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import NamedTuple
@@ -22,6 +22,7 @@ from analysis.core.responses.errors.systematic import quantization_steps, reprod
 from analysis.core.responses.estimator import Estimator, Request
 from analysis.core.responses.lock_in import LockIn, ToneFit, parts_of_whole_periods
 from analysis.core.responses.spectral_lines import Lines, residual_transient
+from daq.core.recording.markers import Marker
 from daq.core.recording.recording import Recording
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import RecordingError, SceneError
@@ -41,30 +42,19 @@ _LENGTHS = (_TOO_SHORT, _TOO_CLOSE)
 _TRANSITION_S = 0.5
 
 
-def _batches(parts: Sequence[tuple[int, int]]) -> list[Sequence[tuple[int, int]]]:
-    """Group parts that are read together, in bounded memory."""
-    size = max(1, PIECE_SAMPLES // max(stop - first for first, stop in parts))
-    return [parts[index : index + size] for index in range(0, len(parts), size)]
-
-
 # Level (N, or the unit of the drive) and direction of a sweep, which identify it.
 _SweepKey = tuple[float, str]
 
 
-class _Point(NamedTuple):
-    """Amplitudes of a tone, fitted in a window of samples."""
-
-    tone: ToneFit
-    window: tuple[int, int]  # first sample, and one past the last
-    steady: bool  # whether steady state was reached
-
-
-class _Omission(NamedTuple):
-    """A measured window whose amplitudes were not estimated."""
+class _Window(NamedTuple):
+    """A measured window: the fitted amplitudes of its tone, or the reason why they are not estimated."""
 
     frequency: float  # Hz
-    reason: str  # reason without times: equal for all windows with the same flaw
-    details: str  # reason with the times of the flaws
+    bounds: tuple[int, int]  # first sample, and one past the last
+    is_steady: bool  # whether steady state was reached
+    tone: ToneFit | None = None
+    omission: str = ""  # reason without times: equal for all windows with the same flaw
+    details: str = ""  # reason with the times of the flaws
 
 
 @dataclass(frozen=True)
@@ -97,83 +87,64 @@ def _measured_sweeps(rec: Recording, names: tuple[str, ...], progress: CountProg
         (marker for marker in rec.markers if marker.kind == "measure" and "frequency" in marker.fields),
         key=lambda marker: marker.first_sample,
     )
-    points: dict[_SweepKey, list[_Point]] = {}
-    omissions: dict[_SweepKey, list[_Omission]] = {}
-    windows = []
+    simultaneous: dict[tuple[int, int], list[float]] = {}  # frequencies of the tones of each window
     for marker in markers:
-        stop = rec.samples if marker.last_sample is None else marker.stop
-        windows.append((int(marker.first_sample), min(stop, rec.samples)))
-    # Frequencies of simultaneous tones, by their common window.
-    simultaneous: dict[tuple[int, int], list[float]] = {}
-    for marker, window in zip(markers, windows, strict=True):
-        simultaneous.setdefault(window, []).append(float(marker.fields["frequency"]))
-    batches = [
-        _batches(parts_of_whole_periods(*window, float(marker.fields["frequency"]), rec.rate))
-        for marker, window in zip(markers, windows, strict=True)
-    ]
-    batch_samples = read_slices(
-        rec,
-        names,
-        (
-            (batch[0][0], batch[-1][1])
-            for window, group in zip(windows, batches, strict=True)
-            for batch in group
-            if len(simultaneous[window]) == 1
-        ),
-    )
-    for n_completed, (marker, (first, stop), group) in enumerate(zip(markers, windows, batches, strict=True), 1):
-        frequency = float(marker.fields["frequency"])
-        others = [other for other in simultaneous[first, stop] if other != frequency]
-        samples: Iterator[Array] = (next(batch_samples) for _ in group)
-        if others:  # the samples of this window are read for each of its tones
-            samples = read_slices(rec, names, ((batch[0][0], batch[-1][1]) for batch in group))
+        simultaneous.setdefault(_bounds(rec, marker), []).append(float(marker.fields["frequency"]))
+    windows: dict[_SweepKey, list[_Window]] = {}
+    for n_completed, marker in enumerate(markers, 1):
         key = float(marker.fields.get("level", np.nan)), str(marker.fields.get("direction", "up"))
-        window_flaws = find_flaws(rec, names, first, stop)
-        if (stop - first) * frequency < 0.99 * rec.rate:
-            omissions.setdefault(key, []).append(_Omission(frequency, _TOO_SHORT, _TOO_SHORT))
-        elif any((stop - first) * abs(frequency - other) < 0.99 * rec.rate for other in others):
-            omissions.setdefault(key, []).append(_Omission(frequency, _TOO_CLOSE, _TOO_CLOSE))
-        elif window_flaws:
-            reason = ", ".join(dict.fromkeys(flaw.description for flaw in window_flaws))
-            omissions.setdefault(key, []).append(_Omission(frequency, reason, describe_flaws(rec, window_flaws)))
-        else:
-            # Harmonics are fitted below half the sample rate, with at most half as many terms as samples of a part.
-            lengths = [[end - begin for begin, end in batch] for batch in group]
-            shortest_part = min(map(min, lengths))
-            harmonics = int(max(1, min(HARMONICS, 0.45 * rec.rate / frequency, (shortest_part - 2) // 4)))
-            lockin = LockIn(frequency, rec.rate, harmonics)
-            tones = _tones_at_once(rec, names, (first, stop), [frequency, *others]) if others else None
-            for (begin, *_), batch, batch_lengths in zip(group, samples, lengths, strict=True):
-                if tones is not None:
-                    terms = _terms(others, rec.rate, (first, stop), begin[0], batch.shape[1])
-                    batch = batch - tones[4:].T @ terms[2:]
-                lockin.add(batch, batch_lengths)
-            steady = marker.fields.get("settled") is not False
-            points.setdefault(key, []).append(_Point(lockin.tone(), (first, stop), steady))
-        # The samples of an omitted window are skipped.
-        for _ in samples:
-            pass
+        window = _measured_window(rec, names, marker, simultaneous[_bounds(rec, marker)])
+        windows.setdefault(key, []).append(window)
         if progress is not None:
             progress(n_completed, len(markers))
-    if not points:
-        reasons = [omission.reason for sweep_omissions in omissions.values() for omission in sweep_omissions]
+    measured = [key for key, group in windows.items() if any(window.tone for window in group)]
+    if not measured:
+        reasons = [window.omission for group in windows.values() for window in group]
         raise RecordingError(f"{rec.path}: {_reason_without_result(rec, reasons)}")
-    several = len(points.keys() | omissions.keys()) > 1
-    names_of_sweeps = {key: sweep_name(rec, key) if several else "" for key in {**points, **omissions}}
-    notes = {key: _notes(name, points.get(key, []), omissions.get(key, [])) for key, name in names_of_sweeps.items()}
-    # A sweep without any point is not returned; the first sweep reports its notes.
-    notes[next(iter(points))] += [note for key in notes if key not in points for note in notes[key]]
+    sweep_names = {key: sweep_name(rec, key) if len(windows) > 1 else "" for key in windows}
+    # A sweep without any measured window is not returned; the first sweep reports its notes.
+    unmeasured = [note for key in windows if key not in measured for note in _notes(sweep_names[key], windows[key])]
     return [
-        _sweep(rec, key, names_of_sweeps[key], _ordered(sweep_points), notes[key], omissions.get(key, []), names)
-        for key, sweep_points in points.items()
+        _sweep(rec, key, sweep_names[key], windows[key], unmeasured if key == measured[0] else [], names)
+        for key in measured
     ]
 
 
-def _ordered(points: list[_Point]) -> list[_Point]:
-    """Return points in the order of the test, or of ascending frequency if tones were driven simultaneously."""
-    if len({point.window for point in points}) == len(points):
-        return points
-    return sorted(points, key=lambda point: point.tone.frequency)
+def _bounds(rec: Recording, marker: Marker) -> tuple[int, int]:
+    """Return the first sample of a measured window, and one past the last."""
+    stop = rec.samples if marker.last_sample is None else marker.stop
+    return int(marker.first_sample), min(stop, rec.samples)
+
+
+def _measured_window(rec: Recording, names: Sequence[str], marker: Marker, frequencies: Sequence[float]) -> _Window:
+    """Fit the tone of a marker to its window, or describe why this is impossible; `frequencies`: all tones there."""
+    frequency, (first, stop) = float(marker.fields["frequency"]), _bounds(rec, marker)
+    others = [other for other in frequencies if other != frequency]
+    window = _Window(frequency, (first, stop), marker.fields.get("settled") is not False)
+    flaws = find_flaws(rec, names, first, stop)
+    if (stop - first) * frequency < 0.99 * rec.rate:
+        return window._replace(omission=_TOO_SHORT, details=_TOO_SHORT)
+    if any((stop - first) * abs(frequency - other) < 0.99 * rec.rate for other in others):
+        return window._replace(omission=_TOO_CLOSE, details=_TOO_CLOSE)
+    if flaws:
+        reason = ", ".join(dict.fromkeys(flaw.description for flaw in flaws))
+        return window._replace(omission=reason, details=describe_flaws(rec, flaws))
+    parts = parts_of_whole_periods(first, stop, frequency, rec.rate)
+    lengths = [end - begin for begin, end in parts]
+    # Harmonics are fitted below half the sample rate, with at most half as many terms as samples of a part.
+    harmonics = int(max(1, min(HARMONICS, 0.45 * rec.rate / frequency, (min(lengths) - 2) // 4)))
+    lockin = LockIn(frequency, rec.rate, harmonics)
+    tones = _tones_at_once(rec, names, (first, stop), [frequency, *others]) if others else None
+    # Parts are read together, in bounded memory.
+    size = max(1, PIECE_SAMPLES // max(lengths))
+    batches = [parts[index : index + size] for index in range(0, len(parts), size)]
+    samples = read_slices(rec, names, ((batch[0][0], batch[-1][1]) for batch in batches))
+    for batch, block in zip(batches, samples, strict=True):
+        if tones is not None:
+            terms = _terms(others, rec.rate, (first, stop), batch[0][0], block.shape[1])
+            block = block - tones[4:].T @ terms[2:]
+        lockin.add(block, [end - begin for begin, end in batch])
+    return window._replace(tone=lockin.tone())
 
 
 def _tones_at_once(
@@ -210,13 +181,13 @@ def sweep_name(rec: Recording, key: _SweepKey) -> str:
     return f"{format_number(factor * level)} {prefix}{unit.replace('^2', '²')} {direction}"
 
 
-def _notes(sweep_name: str, points: list[_Point], omissions: list[_Omission]) -> list[str]:
+def _notes(sweep_name: str, windows: Sequence[_Window]) -> list[str]:
     """Describe the discarded frequencies of a sweep, with reasons, and the frequencies without steady-state motion."""
     prefix = f"{sweep_name}: " if sweep_name else ""
     notes = []
-    for reason in dict.fromkeys(omission.reason for omission in omissions):
-        group = [omission for omission in omissions if omission.reason == reason]
-        low, high = (limit(omission.frequency for omission in group) for limit in (min, max))
+    for reason in dict.fromkeys(window.omission for window in windows if window.omission):
+        group = [window for window in windows if window.omission == reason]
+        low, high = (limit(window.frequency for window in group) for limit in (min, max))
         cause = f"their windows are {reason}" if reason in _LENGTHS else f"{reason} in their windows"
         if len(group) == 1:
             details = f"its window is {reason}" if reason in _LENGTHS else f"{group[0].details} in its window"
@@ -225,11 +196,13 @@ def _notes(sweep_name: str, points: list[_Point], omissions: list[_Omission]) ->
             notes.append(f"{prefix}{low:.4g} Hz omitted {len(group)} times: {cause}.")
         else:
             notes.append(f"{prefix}{len(group)} frequencies from {low:.4g} to {high:.4g} Hz omitted: {cause}.")
-    if not points:
+    measured = [window for window in windows if window.tone]
+    if not measured:
         notes.append(f"{prefix}no frequency of this sweep is usable.")
-    unsteady = [not point.steady for point in points]
-    if any(unsteady):
-        frequencies = format_frequencies([point.tone.frequency for point in points], unsteady)
+    if not all(window.is_steady for window in measured):
+        frequencies = format_frequencies(
+            [window.frequency for window in measured], [not window.is_steady for window in measured]
+        )
         notes.append(
             f"{prefix}No steady state at {frequencies}: these points are marked. Increase test.settle.longest of a "
             "stepped sine, or lower the level."
@@ -269,21 +242,23 @@ def _sweep(
     rec: Recording,
     key: _SweepKey,
     sweep_name: str,
-    points: list[_Point],
-    notes: list[str],
-    omissions: list[_Omission],
+    windows: Sequence[_Window],
+    further_notes: Sequence[str],
     channels: tuple[str, ...],
 ) -> Sweep:
     """Combine the windows of one level and direction to a sweep."""
-    level, direction = key
-    tones = tuple(point.tone for point in points)
+    measured = [window for window in windows if window.tone]
+    if len({window.bounds for window in measured}) < len(measured):
+        # Simultaneous tones are in ascending order, all others in the order of the test.
+        measured.sort(key=lambda window: window.frequency)
+    tones = tuple(window.tone for window in measured if window.tone)
     mean = np.stack([tone.amplitude[:, 0] for tone in tones], axis=1)
-    windows = np.array([point.window for point in points])
+    bounds = np.array([window.bounds for window in measured])
     # With moving dampers, the decay of a transient cannot be predicted from the steady responses.
     test = rec.scene.test
     undetected = 0.0 if rec.scene.is_linear or test is None else _UNDETECTED_TRANSIENT * test.accepted_transient
-    last_stops = [windows[windows[:, 1] <= first, 1].max(initial=0) for first in windows[:, 0]]
-    wait = (windows[:, 0] - np.array(last_stops)) / rec.rate
+    last_stops = [bounds[bounds[:, 1] <= first, 1].max(initial=0) for first in bounds[:, 0]]
+    wait = (bounds[:, 0] - np.array(last_stops)) / rec.rate
     lines = Lines(
         channels=channels,
         frequency=np.array([tone.frequency for tone in tones]),
@@ -292,15 +267,15 @@ def _sweep(
             stacked([tone.scatter() for tone in tones]), np.array([2.0 * (len(tone.parts) - 1.0) for tone in tones])
         ),
         label=f"{rec.scene.name}{f', {sweep_name}' if sweep_name else ''}",
-        warnings=tuple(notes),
+        warnings=(*_notes(sweep_name, windows), *further_notes),
         residual_transient=np.maximum(_residual_transients(tones), undetected * abs(mean)),
         resolution=_resolution(rec, channels, mean, np.stack([tone.noise for tone in tones], axis=1)),
-        unsteady=np.array([not point.steady for point in points]),
-        omitted=np.array([omission.frequency for omission in omissions]),
+        unsteady=np.array([not window.is_steady for window in measured]),
+        omitted=np.array([window.frequency for window in windows if not window.tone]),
         wait=wait if rec.scene.is_linear else None,
-        duration=np.diff(windows)[:, 0] / rec.rate if rec.scene.is_linear else None,
+        duration=np.diff(bounds)[:, 0] / rec.rate if rec.scene.is_linear else None,
     )
-    return Sweep(lines, tones, level, direction, windows)
+    return Sweep(lines, tones, *key, bounds)
 
 
 def _residual_transients(tones: Sequence[ToneFit]) -> Array:

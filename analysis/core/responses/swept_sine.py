@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from analysis.core.recordings.slices import read_slices
 from analysis.core.responses.checks.clean_segments import describe_flaws, find_flaws, remedy
 from analysis.core.responses.checks.tone_steps import ToneInterval
-from analysis.core.responses.errors.random_errors import SharedErrors
 from analysis.core.responses.errors.systematic import (
     UNSETTLED,
     power_in_counts,
@@ -62,25 +61,17 @@ class SweptTone:
 
     spectra: LocalSpectra
     sweep_rate: Array  # Hz/s; shape (lines,)
-    label: str
     warnings: tuple[str, ...]
     # lines at which all dampers stay on their floors and the structure is linear; shape (lines,)
     on_floor: NDArray[np.bool_]
     omitted: Array  # frequencies without a line [Hz]
-    shared: float = 1.0  # number of neighboring lines with a common error
 
     def frf(
         self, rec: Recording, numerator: Measurand, denominator: Measurand, others: Sequence[Measurand] = ()
     ) -> Response:
         """Estimate the frequency response with coherence, random and systematic errors; `others`: other inputs."""
-        frf = self.spectra.frf(rec, numerator, denominator, self.label, self.warnings, others=others)
-        budget = frf.uncertainty
-        assert isinstance(budget.errors, SharedErrors)
-        # Segments of neighboring lines overlap in time, although their bins are counted as independent.
-        (fit_errors,) = budget.errors.elements
-        fit_errors = replace(fit_errors, has_single_reference=False, shared=self.shared)
-        errors = replace(budget.errors, elements=(fit_errors,))
-        frf = replace(frf, uncertainty=replace(budget, shared=self.shared, errors=errors), omitted=self.omitted)
+        frf = self.spectra.frf(rec, numerator, denominator, others, warnings=self.warnings)
+        frf = replace(frf, omitted=self.omitted)
         if not warn_of_dampers(rec):
             return frf
         error = np.where(self.on_floor, 0.0, self._sweep_error(frf))
@@ -200,12 +191,12 @@ def sweep_spectra(
         rounding_gain_error,
         noise * lengths[clean_points],
         np.zeros((len(names), len(names))),
+        max(float(np.median(_BINS_PER_VALUE * rec.rate / lengths / np.gradient(frequency))), 1.0),
     )
     sweep_rate = abs(np.gradient(frequency, [_sample_at(marker, f, rec.rate) / rec.rate for f in frequency]))
-    shared = max(float(np.median(_BINS_PER_VALUE * rec.rate / lengths / np.gradient(frequency))), 1.0)
     on_floor = _dampers_on_floor(rec, names, frequency[clean_points], variances[:, clean_points])
     omitted = frequency[~np.array(is_clean)]
-    return SweptTone(spectra, sweep_rate[clean_points], rec.scene.name, tuple(notes), on_floor, omitted, shared)
+    return SweptTone(spectra, sweep_rate[clean_points], tuple(notes), on_floor, omitted)
 
 
 def _dampers_on_floor(rec: Recording, names: Sequence[str], frequency: Array, variances: Array) -> NDArray[np.bool_]:

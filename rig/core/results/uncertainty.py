@@ -10,7 +10,7 @@ limit.
 The true value of a complex quantity lies within a circle. The radius is computed with the coverage factor 2.45 for type
 A. It includes the sum of the limits of all tolerances of data sheets.
 
-A line is one frequency of the response; an element is one output over one input.
+A line is one frequency of the response; an entry is one output over one input.
 
 References
 ----------
@@ -62,11 +62,11 @@ TOLERANCES = (CLOCK, SENSITIVITY, SYSTEMATIC)
 
 
 class Covariance(Protocol):
-    """Covariance of the random errors e of a response, over its elements and lines."""
+    """Covariance of the random errors e of a response, over its entries and lines."""
 
     @property
     def lines(self) -> ComplexArray:
-        """``E[e e^H]`` at each line, shape (lines, elements, elements)."""
+        """``E[e e^H]`` at each line, shape (lines, entries, entries)."""
 
     @property
     def shared(self) -> float:
@@ -79,30 +79,30 @@ class Covariance(Protocol):
     def at(self, lines: Lines) -> Covariance:
         """Return a copy with only the selected lines."""
 
-    def select(self, elements: Sequence[int]) -> Covariance:
-        """Return a copy with only the selected elements of the response matrix."""
+    def select(self, entries: Sequence[int]) -> Covariance:
+        """Return a copy with only the selected entries of the response matrix."""
 
     def of_sums(self, weights: ComplexArray) -> Array:
-        """Return the covariance of ``Re(sum(conj(weights) e))``, (sums, sums); weights (lines, elements, sums)."""
+        """Return the covariance of ``Re(sum(conj(weights) e))``, (sums, sums); weights (lines, entries, sums)."""
 
 
 class RandomErrors(Protocol):
-    """Random errors of a response's elements, computed from the errors of the readings; elements may share readings."""
+    """Random errors of a response's entries, computed from the errors of the readings; entries may share readings."""
 
     def at(self, lines: Lines) -> RandomErrors:
         """Return a copy with only the selected lines."""
 
-    def select(self, elements: Sequence[int]) -> RandomErrors:
-        """Return a copy with only the selected elements of the response matrix."""
+    def select(self, entries: Sequence[int]) -> RandomErrors:
+        """Return a copy with only the selected entries of the response matrix."""
 
     def scaled(self, factor: ComplexArray) -> RandomErrors:
         """Multiply by a factor at each line."""
 
     def joined(self, others: Sequence[RandomErrors]) -> RandomErrors | None:
-        """Join with the errors of other elements; None if they depend on different readings."""
+        """Join with the errors of other entries; None if they depend on different readings."""
 
     def covariance(self, error: Array, shared: float) -> Covariance:
-        """Return the covariance over elements, given each element's standard uncertainty, shape (lines, elements)."""
+        """Return the covariance over entries, given each entry's standard uncertainty, shape (lines, entries)."""
 
 
 @dataclass(frozen=True)
@@ -118,7 +118,7 @@ class Contribution:
     evaluation: Literal["A", "B"]  # by statistics of the readings, or by other knowledge (GUM 4.2, 4.3)
     deviation: Array
     degrees_of_freedom: Array | None = None  # degrees of freedom of type A
-    # Type B only: for each element in C order, the change of its value if the error of a source (sensor or clock)
+    # Type B only: for each entry in C order, the change of its value if the error of a source (sensor or clock)
     # equals its limit; complex, shape (lines,). The key identifies the source, because other responses may have the
     # same source. Empty: the source is unknown.
     sources: tuple[Sources, ...] = ()
@@ -142,9 +142,9 @@ class Contribution:
             return self.deviation[None]
         count = max(map(len, self.sources))
         sizes = np.zeros((count, len(self.deviation), len(self.sources)))
-        for element, sources in enumerate(self.sources):
+        for entry, sources in enumerate(self.sources):
             for number, change in enumerate(sources.values()):
-                sizes[number, :, element] = abs(change)
+                sizes[number, :, entry] = abs(change)
         total = sizes.sum(axis=0)
         is_known = (total > 0.0) & np.isfinite(total)
         shares = np.where(is_known, sizes, 0.0) / np.where(is_known, total, 1.0)
@@ -159,7 +159,7 @@ class Contribution:
             self,
             deviation=change(self.deviation),
             degrees_of_freedom=None if self.degrees_of_freedom is None else change(self.degrees_of_freedom),
-            sources=tuple({key: change(array) for key, array in element.items()} for element in self.sources),
+            sources=tuple({key: change(array) for key, array in entry.items()} for entry in self.sources),
         )
 
 
@@ -167,7 +167,7 @@ class Contribution:
 class UncertaintyBudget:
     """Contributions to the uncertainty of a response.
 
-    `errors`: random errors of the elements, for their covariance; None: they are independent. `shared`: number of
+    `errors`: random errors of the entries, for their covariance; None: they are independent. `shared`: number of
     adjacent lines that have the same error, because they are computed from the same samples. `clock`: limit of the
     relative error of the sample clock, and therefore of all frequencies; its effect on the values is one of the
     contributions.
@@ -246,15 +246,15 @@ class UncertaintyBudget:
         return [self.contributions[index].name for index in np.argmax(standard, axis=0)]
 
     def covariance(self, shape: tuple[int, ...]) -> Covariance:
-        """Return the covariance of the random errors over the elements of a response of a given shape.
+        """Return the covariance of the random errors over the entries of a response of a given shape.
 
         Raises `RunError` if its arrays would exceed the memory limit.
         """
         error = np.zeros(shape) if self.scatter is None else self.scatter.deviation
         error = np.reshape(error, (shape[0], -1))
-        n_lines, elements = error.shape
-        purpose = f"the covariance of {elements} responses at {n_lines} frequencies"
-        require_memory_with_program(_COVARIANCE_COPIES * 16.0 * n_lines * elements**2, purpose)
+        n_lines, entries = error.shape
+        purpose = f"the covariance of {entries} responses at {n_lines} frequencies"
+        require_memory_with_program(_COVARIANCE_COPIES * 16.0 * n_lines * entries**2, purpose)
         if self.errors is not None:
             return self.errors.covariance(error, self.shared)
         lines = np.einsum("ka,ab->kab", 2.0 * error**2, np.eye(error.shape[1])).astype(complex)
@@ -270,7 +270,7 @@ class UncertaintyBudget:
 
         def multiply(cause: Contribution) -> Contribution:
             size = np.reshape(abs(factor), (-1, *[1] * (cause.deviation.ndim - 1)))
-            sources = tuple({key: change * factor for key, change in element.items()} for element in cause.sources)
+            sources = tuple({key: change * factor for key, change in entry.items()} for entry in cause.sources)
             return replace(cause, deviation=cause.deviation * size, sources=sources)
 
         return replace(self, contributions=tuple(map(multiply, self.contributions)), errors=errors)
@@ -297,19 +297,19 @@ class UncertaintyBudget:
         contributions = tuple(cause.changed(change) for cause in self.contributions)
         return replace(self, contributions=contributions, errors=errors)
 
-    def select(self, selection: Any, elements: Sequence[int]) -> UncertaintyBudget:
-        """Select elements; `selection`: index of the arrays, `elements`: the same elements, counted in C order."""
+    def select(self, selection: Any, entries: Sequence[int]) -> UncertaintyBudget:
+        """Select entries; `selection`: index of the arrays, `entries`: the same entries, counted in C order."""
         contributions = tuple(
             replace(
                 cause,
                 deviation=cause.deviation[selection],
                 degrees_of_freedom=None if cause.degrees_of_freedom is None else cause.degrees_of_freedom[selection],
-                sources=tuple(cause.sources[k] for k in elements) if cause.sources else (),
+                sources=tuple(cause.sources[k] for k in entries) if cause.sources else (),
             )
             for cause in self.contributions
         )
         return replace(
-            self, contributions=contributions, errors=None if self.errors is None else self.errors.select(elements)
+            self, contributions=contributions, errors=None if self.errors is None else self.errors.select(entries)
         )
 
     def of_ratio(self, other: UncertaintyBudget, value: ComplexArray, other_value: ComplexArray) -> UncertaintyBudget:
@@ -402,12 +402,12 @@ class LineCovariance:
         """Return a copy with only the selected lines."""
         return replace(self, lines=self.lines[lines])
 
-    def select(self, elements: Sequence[int]) -> LineCovariance:
-        """Return a copy with only the selected elements of the response matrix."""
-        return replace(self, lines=self.lines[:, elements][:, :, elements])
+    def select(self, entries: Sequence[int]) -> LineCovariance:
+        """Return a copy with only the selected entries of the response matrix."""
+        return replace(self, lines=self.lines[:, entries][:, :, entries])
 
     def of_sums(self, weights: ComplexArray) -> Array:
-        """Return the covariance of weighted sums over lines and elements."""
+        """Return the covariance of weighted sums over lines and entries."""
         complex_sum = np.einsum("kap,kac,kcq->pq", weights.conj(), self.lines, weights, optimize=True)
         return np.asarray(0.5 * self.shared * complex_sum.real)
 

@@ -113,7 +113,7 @@ def test_covariance_of_sums_does_not_depend_on_blocks(monkeypatch):
 
 def test_selected_lines_share_the_array_of_their_test():
     test = gaussian(4, 50, 200)
-    elements = [MeanErrors.of(test, gaussian(200, 4)) for _ in range(10)]
+    elements = [SharedErrors.of(MeanErrors(test, gaussian(200, 4))) for _ in range(10)]
     peak, _ = peak_memory(lambda: [each.at(np.arange(0, 200, 2)) for each in elements])
     assert peak < test.nbytes / 2
 

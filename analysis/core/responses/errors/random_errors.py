@@ -2,7 +2,7 @@
 
 All responses are divided by the same reference, whose noise causes equal relative errors in all of them. Neighboring
 lines of a local fit use the same bins. Both correlations determine the scatter of the parameters of a model that is
-fitted to many lines. The errors of the readings are propagated to first order [1]_. An *element* is the response of one
+fitted to many lines. The errors of the readings are propagated to first order [1]_. An *entry* is the response of one
 output to one input. A *bin* is a frequency of the discrete Fourier transform; a *line* is a frequency at which the
 response is estimated. `shared` is the number of neighboring lines with a common error.
 
@@ -16,13 +16,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import scipy
 from numpy.typing import NDArray
 
 from rig.core.base.arrays import Array, ComplexArray
-from rig.core.results.uncertainty import LineCovariance, Lines, RandomErrors
+from rig.core.results.uncertainty import Covariance, LineCovariance, Lines, RandomErrors
 
 # The noise level is assumed to be constant over this number of widths of a local fit.
 _CONSTANT_NOISE_WIDTHS = 5
@@ -40,61 +41,100 @@ _ZERO_POWER = 1e-40
 # relative to the computed variance. Tuned on chains of bodies with 3 % of reference noise: with 0.001, the scatter was
 # twice the stated uncertainty.
 _UNCORRELATED = 0.05
-# Maximum number of array elements of the noise covariances in memory at a time: 32 MB of complex values.
+# Maximum number of array values of the noise covariances in memory at a time: 32 MB of complex values.
 _MAX_ELEMENTS = 1 << 21
 
 
 @dataclass(frozen=True)
-class MeanErrors:
-    """Selected lines of errors of ratios of means, independent from line to line.
+class SharedErrors:
+    """Random errors of selected entries of a response matrix, at selected lines, of readings that they may share.
 
-    The array of the test is large. All elements and selections share it.
+    The arrays of a test are large. Selections, scaled responses and joined responses share them; only `covariance`
+    makes copies.
     """
 
-    # factor of the covariance of the channels' means, for all elements of a test; shape (rows, channels, lines)
-    test: ComplexArray
+    entries: tuple[MeanErrors | LocalErrors, ...]  # errors of each entry, at all lines of the test
     lines: NDArray[np.intp]  # selected lines
-    # deviation of each element in independent directions, (lines, directions); their products give covariances
-    deviations: tuple[ComplexArray, ...]
+    factors: tuple[ComplexArray, ...]  # factor of each entry at each selected line; shape (lines,)
 
     @classmethod
-    def of(cls, test: ComplexArray, deviations: ComplexArray) -> MeanErrors:
-        """Select all lines of the errors of one element."""
-        return cls(test, np.arange(test.shape[2]), (deviations,))
+    def of(cls, errors: MeanErrors | LocalErrors) -> SharedErrors:
+        """Select all lines of the errors of one entry."""
+        return cls((errors,), np.arange(errors.n_lines), (np.ones(errors.n_lines, dtype=complex),))
 
-    def at(self, lines: Lines) -> MeanErrors:
+    def at(self, lines: Lines) -> SharedErrors:
         """Return a copy with only the selected lines."""
-        return replace(self, lines=self.lines[lines], deviations=tuple(each[lines] for each in self.deviations))
+        return replace(self, lines=self.lines[lines], factors=tuple(factor[lines] for factor in self.factors))
 
-    def select(self, elements: Sequence[int]) -> MeanErrors:
-        """Return a copy with only the selected elements of the response matrix."""
-        return replace(self, deviations=tuple(self.deviations[k] for k in elements))
+    def select(self, entries: Sequence[int]) -> SharedErrors:
+        """Return a copy with only the selected entries of the response matrix."""
+        return replace(
+            self, entries=tuple(self.entries[k] for k in entries), factors=tuple(self.factors[k] for k in entries)
+        )
 
-    def scaled(self, factor: ComplexArray) -> MeanErrors:
+    def scaled(self, factor: ComplexArray) -> SharedErrors:
         """Multiply by a factor at each line."""
-        return replace(self, deviations=tuple(each * factor[:, None] for each in self.deviations))
+        return replace(self, factors=tuple(other * factor for other in self.factors))
 
-    def joined(self, others: Sequence[RandomErrors]) -> MeanErrors | None:
-        """Join the errors of these and other elements."""
+    def joined(self, others: Sequence[RandomErrors]) -> SharedErrors | None:
+        """Join the errors of these and other entries; None if they depend on different readings."""
         same = [self]
         for other in others:
-            if not isinstance(other, MeanErrors) or not np.array_equal(other.lines, self.lines):
-                return None
-            if other.test is not self.test and not np.array_equal(other.test, self.test, equal_nan=True):
+            if not (
+                isinstance(other, SharedErrors)
+                and np.array_equal(self.lines, other.lines)
+                and self.entries[0].has_same_readings(other.entries[0])
+            ):
                 return None
             same.append(other)
-        return replace(self, deviations=tuple(each for errors in same for each in errors.deviations))
+        return replace(
+            self,
+            entries=tuple(entry for errors in same for entry in errors.entries),
+            factors=tuple(factor for errors in same for factor in errors.factors),
+        )
 
-    def covariance(self, error: Array, shared: float) -> LineCovariance:
-        """Compute the covariance over elements, scaled to the stated variances, which include neighboring lines."""
-        deviations = np.stack(self.deviations, axis=1)
-        elements = deviations @ deviations.conj().swapaxes(1, 2)
-        return LineCovariance(_add_uncorrelated(_scale_to_variances(elements, error)), shared)
+    def covariance(self, error: Array, shared: float) -> Covariance:
+        """Estimate the covariance over entries, and of local fits between lines; `error`: stated uncertainty."""
+        first: Any = self.entries[0]  # all entries are of the same kind
+        covariance: Covariance = first.covariance(
+            self.entries, self.lines, np.stack(self.factors, axis=1), error, shared
+        )
+        return covariance
+
+
+@dataclass(frozen=True)
+class MeanErrors:
+    """Errors of an entry that is a ratio of means, independent from line to line."""
+
+    # factor of the covariance of the channels' means, for all entries of a test; shape (rows, channels, lines)
+    test: ComplexArray
+    # deviation of the entry in independent directions, (lines, directions); their products give covariances
+    deviations: ComplexArray
+
+    @property
+    def n_lines(self) -> int:
+        """Number of lines of the test."""
+        return len(self.deviations)
+
+    def has_same_readings(self, other: MeanErrors | LocalErrors) -> bool:
+        """Return whether another entry is of the same test."""
+        return isinstance(other, MeanErrors) and (
+            other.test is self.test or np.array_equal(other.test, self.test, equal_nan=True)
+        )
+
+    @staticmethod
+    def covariance(
+        entries: Sequence[MeanErrors], lines: NDArray[np.intp], factors: ComplexArray, error: Array, shared: float
+    ) -> LineCovariance:
+        """Compute the covariance over entries, scaled to the stated variances, which include neighboring lines."""
+        deviations = np.stack([entry.deviations[lines] for entry in entries], axis=1) * factors[:, :, None]
+        covariance = deviations @ deviations.conj().swapaxes(1, 2)
+        return LineCovariance(_add_uncorrelated(_scale_to_variances(covariance, error)), shared)
 
 
 @dataclass(frozen=True)
 class LocalErrors:
-    """Errors of the local fits to one element: sums over bins, most of which neighboring lines have in common."""
+    """Errors of the local fits to one entry: sums over bins, most of which neighboring lines have in common."""
 
     # change of the response per unit change of the reading at each bin; shape (lines, segments, width)
     bin_weights: ComplexArray
@@ -109,138 +149,85 @@ class LocalErrors:
     common_error: ComplexArray
     shared: float = 1.0  # number of neighboring lines with a common error although they have no bins in common
 
+    @property
+    def n_lines(self) -> int:
+        """Number of lines of the fits."""
+        return len(self.first_bin)
 
-@dataclass(frozen=True)
-class SharedErrors:
-    """Errors of local fits at selected lines, for selected elements of the response matrix.
-
-    The arrays of the fits are large. Selections, scaled responses and joined responses share them; only `covariance`
-    makes copies.
-    """
-
-    elements: tuple[LocalErrors, ...]  # errors of each element, at all lines of the fits
-    lines: NDArray[np.intp]  # selected lines
-    factors: tuple[ComplexArray, ...]  # factor of each element at each selected line; shape (lines,)
-
-    @classmethod
-    def of(cls, errors: LocalErrors) -> SharedErrors:
-        """Select all lines of the errors of one element."""
-        n_lines = len(errors.first_bin)
-        return cls((errors,), np.arange(n_lines), (np.ones(n_lines, dtype=complex),))
-
-    def at(self, lines: Lines) -> SharedErrors:
-        """Return a copy with only the selected lines."""
-        return replace(self, lines=self.lines[lines], factors=tuple(factor[lines] for factor in self.factors))
-
-    def select(self, elements: Sequence[int]) -> SharedErrors:
-        """Return a copy with only the selected elements of the response matrix."""
-        return replace(
-            self, elements=tuple(self.elements[k] for k in elements), factors=tuple(self.factors[k] for k in elements)
-        )
-
-    def scaled(self, factor: ComplexArray) -> SharedErrors:
-        """Multiply by a factor at each line."""
-        return replace(self, factors=tuple(other * factor for other in self.factors))
-
-    def joined(self, others: Sequence[RandomErrors]) -> SharedErrors | None:
-        """Join the errors of these and other elements; None if their bins or references differ."""
-        same = [self]
-        for errors in others:
-            if not isinstance(errors, SharedErrors) or not self._has_same_bins(errors):
-                return None
-            same.append(errors)
-        return replace(
-            self,
-            elements=tuple(element for errors in same for element in errors.elements),
-            factors=tuple(factor for errors in same for factor in errors.factors),
-        )
-
-    def _has_same_bins(self, other: SharedErrors) -> bool:
-        first, second = self.elements[0], other.elements[0]
+    def has_same_readings(self, other: MeanErrors | LocalErrors) -> bool:
+        """Return whether the fits to another entry use the same bins and the same reference."""
         return (
-            first.residual.shape == second.residual.shape
-            and np.array_equal(self.lines, other.lines)
-            and np.array_equal(first.first_bin, second.first_bin)
+            isinstance(other, LocalErrors)
+            and self.residual.shape == other.residual.shape
+            and np.array_equal(self.first_bin, other.first_bin)
             and (
-                not first.has_single_reference
-                or np.array_equal(first.reference_power, second.reference_power, equal_nan=True)
+                not self.has_single_reference
+                or np.array_equal(self.reference_power, other.reference_power, equal_nan=True)
             )
         )
 
-    def covariance(self, error: Array, shared: float) -> LocalCovariance:
-        """Estimate the covariance over elements and lines, from the residuals around each line."""
+    @staticmethod
+    def covariance(
+        entries: Sequence[LocalErrors], lines: NDArray[np.intp], factors: ComplexArray, error: Array, shared: float
+    ) -> LocalCovariance:
+        """Estimate the covariance over entries and lines, from the residuals around each line."""
 
         def join(name: str) -> ComplexArray:
-            return np.stack([getattr(errors, name)[self.lines] for errors in self.elements], axis=1)
+            return np.stack([getattr(entry, name)[lines] for entry in entries], axis=1)
 
-        first, factors = self.elements[0], np.stack(self.factors, axis=1)
-        first_bin, fitted_response = first.first_bin[self.lines], join("fitted_response")
+        first, first_bin, fitted_response = entries[0], entries[0].first_bin[lines], join("fitted_response")
         bin_weights = join("bin_weights")
         bin_weights *= factors[..., None, None]
         common_error = join("common_error") * factors[..., None]
-        n_lines, elements, _, width = bin_weights.shape
+        n_lines, n_entries, _, width = bin_weights.shape
         # Zero padding correlates neighboring bins, and reduces the degrees of freedom in proportion to
         # `measured_share`. With these degrees of freedom, the result is the noise of a bin summed over all bins that
         # are correlated with it.
-        power = self._residual_power() / first.complex_degrees_of_freedom
+        power = _residual_power(entries, lines) / first.complex_degrees_of_freedom
         bins, center = int(first_bin.max()) + width, first_bin + width // 2
         nearest = np.clip(np.searchsorted(0.5 * (center[1:] + center[:-1]), np.arange(bins)), 0, n_lines - 1)
         reference_ratio: Array | None = None
         noise = BinNoise(power, nearest)
-        if all(errors.has_single_reference for errors in self.elements):
-            reference_power = first.reference_power[self.lines]
+        if all(entry.has_single_reference for entry in entries):
+            reference_power = first.reference_power[lines]
             reference, variances, ratio = _separate_noise(power, fitted_response, reference_power, center)
             reference_ratio = first.measured_share * ratio
             within = np.clip(np.arange(bins) - first_bin[nearest], 0, width - 1)
-            own_noise = np.einsum("ka,ab->kab", variances, np.eye(elements)).astype(complex)
+            own_noise = np.einsum("ka,ab->kab", variances, np.eye(n_entries)).astype(complex)
             noise = BinNoise(own_noise, nearest, reference, fitted_response, within)
-        covariance = np.empty((n_lines, elements, elements), dtype=complex)
-        for lines in _blocks(n_lines, bin_weights[0].size + width * elements**2):
-            by_bin = bin_weights[lines].transpose(0, 3, 1, 2).astype(complex)
+        covariance = np.empty((n_lines, n_entries, n_entries), dtype=complex)
+        for block in _blocks(n_lines, bin_weights[0].size + width * n_entries**2):
+            by_bin = bin_weights[block].transpose(0, 3, 1, 2).astype(complex)
             pairs = by_bin @ by_bin.conj().swapaxes(2, 3)
-            local_noise = noise.covariance(first_bin[lines, None] + np.arange(width))
-            covariance[lines] = np.einsum("kwac,kwac->kac", pairs, local_noise)
+            local_noise = noise.covariance(first_bin[block, None] + np.arange(width))
+            covariance[block] = np.einsum("kwac,kwac->kac", pairs, local_noise)
         covariance = covariance + common_error @ common_error.conj().swapaxes(1, 2)
         if reference_ratio is None:
             # The fit reproduces part of the noise, so the residuals may underestimate the noise.
-            stated, variances = 2.0 * error**2, np.einsum("kaa->ka", covariance).real
-            stated_ratio = np.divide(stated, variances, out=np.ones_like(variances), where=variances > 0.0)
-            scale = np.sqrt(np.maximum(1.0, stated_ratio))
-            covariance = covariance * scale[:, :, None] * scale[:, None]
+            covariance = _scale_to_variances(covariance, error, min_ratio=1.0)
         return LocalCovariance(
             _add_uncorrelated(covariance), shared, bin_weights, first_bin, common_error, first.shared, noise,
             reference_ratio,
         )  # fmt: skip
-
-    def _residual_power(self) -> ComplexArray:
-        """Return the cross-powers of the residuals, shape (lines, elements, elements)."""
-        n_lines, elements = len(self.lines), len(self.elements)
-        power = np.empty((n_lines, elements, elements), dtype=complex)
-        for block in _blocks(n_lines, elements * self.elements[0].residual[0].size):
-            lines = self.lines[block]
-            residual = np.stack([errors.residual[lines].reshape(len(lines), -1) for errors in self.elements], axis=1)
-            residual = residual.astype(complex)
-            power[block] = residual @ residual.conj().swapaxes(1, 2)
-        return power
 
 
 @dataclass(frozen=True)
 class BinNoise:
     """Covariance of the readings at each bin, computed on demand, because there are many more bins than lines."""
 
-    lines: ComplexArray  # noise of the readings around each line; shape (lines, elements, elements)
+    lines: ComplexArray  # noise of the readings around each line; shape (lines, entries, entries)
     nearest: NDArray[np.int64]  # nearest line of each bin; shape (bins,)
-    reference: Array | None = None  # noise power of the reference, common to all elements; shape (lines,)
+    reference: Array | None = None  # noise power of the reference, common to all entries; shape (lines,)
     fitted_response: ComplexArray | None = None  # as in `LocalErrors`
     within: NDArray[np.int64] | None = None  # position of each bin in the fit of its nearest line; shape (bins,)
 
-    def select(self, elements: Sequence[int]) -> BinNoise:
-        """Return a copy with only the selected elements of the response matrix."""
-        fitted = None if self.fitted_response is None else self.fitted_response[:, elements]
-        return replace(self, lines=self.lines[:, elements][:, :, elements], fitted_response=fitted)
+    def select(self, entries: Sequence[int]) -> BinNoise:
+        """Return a copy with only the selected entries of the response matrix."""
+        fitted = None if self.fitted_response is None else self.fitted_response[:, entries]
+        return replace(self, lines=self.lines[:, entries][:, :, entries], fitted_response=fitted)
 
     def covariance(self, bins: NDArray[np.int64]) -> ComplexArray:
-        """Return the covariance at given bins, shape (*bins.shape, elements, elements)."""
+        """Return the covariance at given bins, shape (*bins.shape, entries, entries)."""
         nearest = self.nearest[bins]
         covariance = self.lines[nearest]
         if self.reference is not None and self.fitted_response is not None and self.within is not None:
@@ -256,9 +243,9 @@ class LocalCovariance:
 
     lines: ComplexArray
     shared: float
-    bin_weights: ComplexArray  # as in `LocalErrors`, of all elements; shape (lines, elements, segments, width)
+    bin_weights: ComplexArray  # as in `LocalErrors`, of all entries; shape (lines, entries, segments, width)
     first_bin: NDArray[np.int64]  # as in `LocalErrors`
-    common_error: ComplexArray  # as in `LocalErrors`, of all elements; shape (lines, elements, parts)
+    common_error: ComplexArray  # as in `LocalErrors`, of all entries; shape (lines, entries, parts)
     shared_bins: float  # `LocalErrors.shared`
     noise: BinNoise  # noise of the readings at each bin
     # noise power of the reference, relative to its power, shape (lines,); None if it is not estimated
@@ -275,25 +262,25 @@ class LocalCovariance:
             reference=None if self.reference is None else self.reference[lines],
         )
 
-    def select(self, elements: Sequence[int]) -> LocalCovariance:
-        """Return a copy with only the selected elements of the response matrix."""
+    def select(self, entries: Sequence[int]) -> LocalCovariance:
+        """Return a copy with only the selected entries of the response matrix."""
         return replace(
             self,
-            lines=self.lines[:, elements][:, :, elements],
-            bin_weights=self.bin_weights[:, elements],
-            common_error=self.common_error[:, elements],
-            noise=self.noise.select(elements),
+            lines=self.lines[:, entries][:, :, entries],
+            bin_weights=self.bin_weights[:, entries],
+            common_error=self.common_error[:, entries],
+            noise=self.noise.select(entries),
         )
 
     def of_sums(self, weights: ComplexArray) -> Array:
-        """Compute the covariance of weighted sums over lines and elements; `weights`: shape (lines, elements, sums)."""
+        """Compute the covariance of weighted sums over lines and entries; `weights`: shape (lines, entries, sums)."""
         from scipy.sparse import csr_array
 
         segments, width = self.bin_weights.shape[2:]
-        elements, sums = weights.shape[1:]
+        entries, sums = weights.shape[1:]
         total = np.zeros((sums, sums))
         bins = int(self.first_bin.max()) + width
-        step = max(width, _MAX_ELEMENTS // (elements * (elements + sums)))
+        step = max(width, _MAX_ELEMENTS // (entries * (entries + sums)))
         for begin in range(0, bins, step):
             end = min(begin + step, bins)
             # Lines whose fits use these bins.
@@ -303,12 +290,12 @@ class LocalCovariance:
             row_pointer = np.append(0, np.cumsum(is_inside.sum(axis=1)))
             noise = self.noise.covariance(np.arange(begin, end))
             for segment in range(segments):
-                by_element = []
-                for k in range(elements):
+                by_entry = []
+                for k in range(entries):
                     bin_weights = self.bin_weights[lines, k, segment][is_inside]
                     matrix = csr_array((bin_weights, columns[is_inside], row_pointer), shape=(lines.size, end - begin))
-                    by_element.append((matrix.T @ weights[lines, k].conj()).T)
-                by_bin = np.stack(by_element, axis=2)
+                    by_entry.append((matrix.T @ weights[lines, k].conj()).T)
+                by_bin = np.stack(by_entry, axis=2)
                 total += np.einsum("pbi,bij,qbj->pq", by_bin, noise, by_bin.conj(), optimize=True).real
         common = np.einsum("kap,kaj->pj", weights.conj(), self.common_error, optimize=True).real
         total *= 0.5 * self.shared_bins
@@ -317,23 +304,37 @@ class LocalCovariance:
         return np.asarray(total + common @ common.T)
 
 
-def _blocks(n_lines: int, elements_per_line: int) -> Iterator[slice]:
-    """Yield blocks of lines whose arrays have at most `_MAX_ELEMENTS` elements."""
-    step = max(1, _MAX_ELEMENTS // max(elements_per_line, 1))
+def _blocks(n_lines: int, values_per_line: int) -> Iterator[slice]:
+    """Yield blocks of lines whose arrays have at most `_MAX_ELEMENTS` values."""
+    step = max(1, _MAX_ELEMENTS // max(values_per_line, 1))
     for begin in range(0, n_lines, step):
         yield slice(begin, begin + step)
 
 
-def _scale_to_variances(covariance: ComplexArray, error: Array) -> ComplexArray:
-    """Scale covariances to stated standard uncertainties of the real and of the imaginary part."""
+def _residual_power(entries: Sequence[LocalErrors], lines: NDArray[np.intp]) -> ComplexArray:
+    """Return the cross-powers of the residuals, shape (lines, entries, entries)."""
+    power = np.empty((len(lines), len(entries), len(entries)), dtype=complex)
+    for block in _blocks(len(lines), len(entries) * entries[0].residual[0].size):
+        residual = np.stack([entry.residual[lines[block]] for entry in entries], axis=1).astype(complex)
+        residual = residual.reshape(*residual.shape[:2], -1)
+        power[block] = residual @ residual.conj().swapaxes(1, 2)
+    return power
+
+
+def _scale_to_variances(covariance: ComplexArray, error: Array, min_ratio: float = 0.0) -> ComplexArray:
+    """Scale covariances to stated standard uncertainties of the real and of the imaginary part.
+
+    `min_ratio`: smallest ratio of the scaled variances to the given.
+    """
     stated, variances = 2.0 * error**2, np.einsum("kaa->ka", covariance).real
     with np.errstate(invalid="ignore"):
-        scale = np.sqrt(np.divide(stated, variances, out=np.ones_like(variances), where=variances > 0.0))
+        ratio = np.divide(stated, variances, out=np.ones_like(variances), where=variances > 0.0)
+        scale = np.sqrt(np.maximum(min_ratio, ratio))
     return np.asarray(covariance * scale[:, :, None] * scale[:, None])
 
 
 def _add_uncorrelated(covariance: ComplexArray) -> ComplexArray:
-    """Add uncorrelated variances to covariances, shape (lines, elements, elements)."""
+    """Add uncorrelated variances to covariances, shape (lines, entries, entries)."""
     index = np.arange(covariance.shape[1])
     covariance = covariance.copy()
     covariance[:, index, index] += _UNCORRELATED * np.einsum("kaa->ka", covariance).real
@@ -348,13 +349,13 @@ def _separate_noise(
     The cross-powers of the residuals of local fits have two parts: the cross-powers of the fitted responses times the
     noise power of the reference, and the noise power of each response. Both noise powers are estimated by weighted
     least squares over the lines around each line. Returns the noise power of the reference, shape (lines,); the noise
-    power of each response, shape (lines, elements); and the ratio of the noise power of the reference to its power,
+    power of each response, shape (lines, entries); and the ratio of the noise power of the reference to its power,
     shape (lines,).
 
-    `power`: cross-powers of the residuals, shape (lines, elements, elements); `fitted_response`, `reference_power`: as
+    `power`: cross-powers of the residuals, shape (lines, entries, entries); `fitted_response`, `reference_power`: as
     in `LocalErrors`; `center`: bin at the middle of each fit.
     """
-    lines, elements, width = fitted_response.shape
+    lines, entries, width = fitted_response.shape
     # In a short test all fits use the same bins, so the median distance of their centers is 0; each line has one bin.
     bins_per_line = max(float(np.median(np.diff(center))), 1.0) if lines > 1 else 1.0
     # Lines of the local means.
@@ -376,7 +377,7 @@ def _separate_noise(
         b_response = local_mean(variances / expected**2)
         reduced = a_reference - np.sum(a_mixed**2 / a_response, axis=1)
         right = b_reference - np.sum(a_mixed * b_response / a_response, axis=1)
-        if elements == 1:
+        if entries == 1:
             reduced, right = (values + _WHOLE_TEST_WEIGHT * values.mean() for values in (reduced, right))
         is_regular = reduced > 1e-6 * a_reference
         reference = np.where(is_regular, right, 0.0)

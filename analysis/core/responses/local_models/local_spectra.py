@@ -1,7 +1,7 @@
 """Spectra of segments of a recording, and responses with their uncertainty by the local rational method."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from itertools import permutations
 
 import numpy as np
@@ -9,13 +9,11 @@ import scipy
 from numpy.typing import NDArray
 
 from analysis.core.responses.checks.several_inputs import MAX_CONDITION_NUMBER, condition
-from analysis.core.responses.errors.budget import assemble_budget
+from analysis.core.responses.errors.budget import Quotient
 from analysis.core.responses.errors.random_errors import LocalErrors, SharedErrors
 from analysis.core.responses.errors.systematic import (
     MODEL,
     REFERENCE_NOISE,
-    ChannelContributions,
-    common_scale,
     reference_noise_limit,
     rounding_limit,
     shared_noise_limit,
@@ -53,6 +51,8 @@ class LocalSpectra:
     rounding_gain_error: Array
     noise: Array  # known noise power of each channel at each line; shape (channels, lines)
     jitter: Array  # factor of the covariance of errors due to jitter, from `jitter_factor`; shape (rows, channels)
+    # number of neighboring lines with a common error, if the segments of the lines differ and overlap in time (sweeps)
+    overlap: float | None = None
     # stored fits of a channel to a reference, because responses share the channels of their reference
     stored_fits: dict[tuple[str, Measurand], LocalFit] = field(default_factory=dict)
     # stored noise bounds of several inputs, relative to their power; shape (lines,)
@@ -65,122 +65,117 @@ class LocalSpectra:
         rec: Recording,
         numerator: Measurand,
         denominator: Measurand,
-        label: str,
-        warnings: Sequence[str],
-        reference_noise: ComplexArray | None = None,
         others: Sequence[Measurand] = (),
+        reference_noise: ComplexArray | None = None,
+        warnings: Sequence[str] = (),
     ) -> Response:
         """Estimate the response of one measurand to another; `others`: other inputs, each with its own numerator.
 
         `reference_noise`, shape (lines, parts): relative change of the reference due to independent parts of its noise,
         each with a real coefficient of variance 1. If omitted, a limit of the noise follows from the coherence.
         """
-        names = list(dict.fromkeys(name for each in (numerator, denominator, *others) for name in each.channels))
-        if others and denominator not in self.stored_noise:
-            self.stored_noise[denominator] = self._input_noise(rec, denominator, others)
-        if names != list(self.channels):
-            rows = [self.channels.index(name) for name in names]
-            selected = replace(
-                self,
-                channels=tuple(names),
-                channel_spectra=self.channel_spectra[:, rows],
-                rounding_gain_error=self.rounding_gain_error[rows],
-                noise=self.noise[rows],
-                jitter=self.jitter[:, rows],
-            )
-            return selected.frf(rec, numerator, denominator, label, warnings, reference_noise, others)
-        frequency = self.frequency[self.lines]
-        force = self.spectrum(rec, denominator)
+        frequency, force = self.frequency[self.lines], self.spectrum(rec, denominator)
         reject_zero_reference(rec, denominator, force)
-        response_weights = numerator.row(rec, names, frequency)
-        reference_weights = denominator.row(rec, names, frequency)
-        # Reading of each channel per unit of the reference.
-        readings = np.zeros((len(names), frequency.size), dtype=complex)
-        for index, name in enumerate(names):
-            if denominator.channels == (name,) and name != numerator.channels[0]:
-                readings[index] = 1.0 / reference_weights[index]
-                continue
-            if any(name in each.channels for each in others):  # the channel is part of another input
-                continue
-            # Only fits of shared channels are stored, because others are large and needed only once.
-            fit = self._fit(rec, name, denominator, others, is_stored=name in denominator.channels)
-            readings[index] = fit.value * rec.channels[name].response(frequency)
-            if name == numerator.channels[0]:
-                main_fit = fit
-        value = np.sum(response_weights * readings, axis=0)
-        scale = abs(value) / np.maximum(abs(main_fit.value), 1e-300)
+        quotient = Quotient(rec, numerator, denominator, others, frequency)
+        rows = [self.channels.index(name) for name in quotient.names]
+        fit, readings = self._readings(quotient)
+        value = np.sum(quotient.response_weights * readings, axis=0)
+        scale = abs(value) / np.maximum(abs(fit.value), 1e-300)
+        contributions, change_per_reading = quotient.contributions(value, readings), quotient.change_per_reading(value)
         # Noise of the reference changes the value even if the residual does not show the noise.
-        reference_noise_power = np.einsum("cn,cn->n", abs(reference_weights) ** 2, self.noise)
-        noise_variance = main_fit.variance_per_reference_noise * reference_noise_power
-        variance = np.maximum(main_fit.variance, noise_variance) * scale**2
-        contributions = ChannelContributions(
-            names, frequency, numerator.motion, value, response_weights * readings, reference_weights * readings
-        )
-        change_per_reading = response_weights - value * reference_weights
+        reference_noise_power = np.einsum("cn,cn->n", abs(quotient.reference_weights) ** 2, self.noise[rows])
+        noise_variance = fit.variance_per_reference_noise * reference_noise_power
+        variance = np.maximum(fit.variance, noise_variance) * scale**2
         limits = (
-            rounding_limit(self.rounding_gain_error, contributions)
-            | jitter_limit(self.jitter, change_per_reading, len(force) * self.power(force, self.half_width))
-            | {MODEL: main_fit.model_error * scale}
+            rounding_limit(self.rounding_gain_error[rows], contributions)
+            | jitter_limit(self.jitter[:, rows], change_per_reading, len(force) * self.power(force, self.half_width))
+            | {MODEL: fit.model_error * scale}
         )
         reference_limits = []
         if reference_noise_power.any():
             # Noise of the reference is its uncertainty, as a change of the value: infinite where the response is zero.
-            squared = abs(main_fit.value) ** 2
+            squared = abs(fit.value) ** 2
             noise_ratio = np.full(squared.shape, np.inf)
             np.divide(2.0 * noise_variance, squared, out=noise_ratio, where=squared > 0.0)
             reference_limits.append(np.sqrt(POWER_RATIO_95 * noise_ratio))
+        common_error = np.zeros((frequency.size, 0), dtype=complex)
         if reference_noise is None:
-            noise_bias = reference_noise_limit(value, main_fit.coherence)
-            if len(denominator.channels) > 1:
-                power = np.minimum(self.power(force, 1), self.power(force, self.half_width))
-                power = power * main_fit.independent_share
-                channel_noise = self._reference_noise(rec, denominator)
-                noise_bias = np.maximum(
-                    noise_bias, shared_noise_limit(channel_noise, change_per_reading, reference_weights, power)
-                )
-            limits[REFERENCE_NOISE] = abs(value) * self.stored_noise[denominator] if others else noise_bias
-            common_error = np.zeros((frequency.size, 0), dtype=complex)
+            limits[REFERENCE_NOISE] = self._noise_bias(quotient, value, fit)
         else:
             common_error = value[:, None] * reference_noise
             variance = variance + 0.5 * np.sum(abs(common_error) ** 2, axis=1)
         output = numerator.channels[0]
-        to_motion = response_weights[names.index(output)] * rec.channels[output].response(frequency)
+        to_motion = quotient.response_weights[quotient.names.index(output)] * rec.channels[output].response(frequency)
+        has_single_reference = len(denominator.channels) == 1 and not others and not reference_noise_power.any()
         errors = LocalErrors(
             # These are the largest arrays of an analysis. Single precision is sufficient for errors.
-            bin_weights=(main_fit.bin_weights * to_motion[:, None, None]).astype(np.complex64),
-            first_bin=main_fit.first_bin,
-            residual=main_fit.residual.astype(np.complex64),
-            fitted_response=main_fit.fitted_response[:, 0],
+            bin_weights=(fit.bin_weights * to_motion[:, None, None]).astype(np.complex64),
+            first_bin=fit.first_bin,
+            residual=fit.residual.astype(np.complex64),
+            fitted_response=fit.fitted_response[:, 0],
             reference_power=self.power(force, self.half_width),
-            complex_degrees_of_freedom=float(main_fit.degrees_of_freedom[0]) / 2.0,
+            complex_degrees_of_freedom=float(fit.degrees_of_freedom[0]) / 2.0,
             measured_share=self.measured_share,
-            has_single_reference=denominator.channels[1:] == () and not others and not reference_noise_power.any(),
+            has_single_reference=has_single_reference and self.overlap is None,
             common_error=common_error,
+            shared=self.overlap or 1.0,
         )
-        budget = assemble_budget(
-            rec, contributions, np.sqrt(variance), main_fit.degrees_of_freedom, limits, reference_limits,
-            SharedErrors.of(errors), self.shared, common_scale(rec, numerator.channels, denominator.channels),
-        )  # fmt: skip
-        coherence = main_fit.coherence
+        coherence, valid = fit.coherence, np.ones(frequency.size, dtype=np.bool_)
         if others:
-            coherence = np.clip(1.0 - main_fit.noise_power / self.power(self.output(rec, output).spectra), 0.0, 1.0)
-            value = np.where(self._condition(rec, (denominator, *others)) > MAX_CONDITION_NUMBER, np.nan, value)
-        return Response.curve(
-            frequency, value, output, reference=denominator.reference, motion=numerator.motion, uncertainty=budget,
-            coherence=coherence, label=label, warnings=tuple(warnings),
+            coherence = np.clip(1.0 - fit.noise_power / self.power(self.output(rec, output).spectra), 0.0, 1.0)
+            valid = ~(self._condition(rec, (denominator, *others)) > MAX_CONDITION_NUMBER)
+        return quotient.response(
+            contributions, np.sqrt(variance), fit.degrees_of_freedom, limits, reference_limits, SharedErrors.of(errors),
+            self.shared, value=np.where(valid, value, np.nan), coherence=coherence, warnings=tuple(warnings),
         )  # fmt: skip
+
+    def _readings(self, quotient: Quotient) -> tuple[LocalFit, ComplexArray]:
+        """Return the fit to the output, and the readings per unit of the reference, shape (channels, lines)."""
+        rec, output, reference = quotient.rec, quotient.numerator.channels[0], quotient.denominator
+        frequency, of_others = quotient.frequency, [name for other in quotient.others for name in other.channels]
+        readings = np.zeros((len(quotient.names), frequency.size), dtype=complex)
+        for index, name in enumerate(quotient.names):
+            if reference.channels == (name,) and name != output:
+                readings[index] = 1.0 / quotient.reference_weights[index]
+            elif name not in of_others:
+                # Fits that are needed only once are not stored, because they are large.
+                is_stored = name in reference.channels or bool(quotient.others)
+                fit = self._fit(rec, name, reference, quotient.others, is_stored)
+                readings[index] = fit.value * rec.channels[name].response(frequency)
+                if name == output:
+                    output_fit = fit
+        return output_fit, readings
+
+    def _noise_bias(self, quotient: Quotient, value: ComplexArray, fit: LocalFit) -> Array:
+        """Return the largest bias due to noise in the reference, shape (lines,)."""
+        rec, reference, others = quotient.rec, quotient.denominator, quotient.others
+        if others:
+            if reference not in self.stored_noise:
+                self.stored_noise[reference] = self._input_noise(rec, reference, others)
+            return np.asarray(abs(value) * self.stored_noise[reference])
+        bias = reference_noise_limit(value, fit.coherence)
+        if len(reference.channels) == 1:
+            return bias
+        force = self.spectrum(rec, reference)
+        power = np.minimum(self.power(force, 1), self.power(force, self.half_width)) * fit.independent_share
+        noise = self._reference_noise(rec, reference)[[self.channels.index(name) for name in quotient.names]]
+        shared = shared_noise_limit(noise, quotient.change_per_reading(value), quotient.reference_weights, power)
+        return np.maximum(bias, shared)
 
     @property
     def shared(self) -> float:
-        """Return the number of neighboring lines with a common error, because their fits use the same bins."""
+        """Return the number of neighboring lines with a common error: their fits use the same bins or samples."""
+        if self.overlap is not None:
+            return self.overlap
         step = float(np.median(np.diff(self.lines))) if self.lines.size > 1 else 1.0
         return max((2 * self.half_width + 1) / (3 * ORDER + 2) / step, 1.0)
 
     def spectrum(self, rec: Recording, measurand: Measurand) -> ComplexArray:
         """Compute the spectra of a measurand, shape (segments, bins)."""
         if measurand not in self.stored_spectra:
-            row = measurand.row(rec, self.channels, self.frequency)
-            self.stored_spectra[measurand] = np.einsum("cn,scn->sn", row, self.channel_spectra)
+            row = measurand.row(rec, measurand.channels, self.frequency)
+            spectra = self.channel_spectra[:, [self.channels.index(name) for name in measurand.channels]]
+            self.stored_spectra[measurand] = np.einsum("cn,scn->sn", row, spectra)
         return self.stored_spectra[measurand]
 
     def output(self, rec: Recording, name: str) -> OutputSpectra:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.core.modal.modes import Modes
-from analysis.core.responses.driven_forces import driven_forces
+from analysis.core.responses.measurands import driven_forces
 from daq.core.recording.recording import Recording
 from rig.core.base.errors import SceneError
 from rig.core.results.response import Response

@@ -9,11 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from analysis.core.recordings.names import sweep_name
-from analysis.core.responses.driven_forces import driven_forces
 from analysis.core.responses.errors.systematic import IRREGULAR, REFERENCE_NOISE, tolerance
 from analysis.core.responses.frequency_responses import frequency_responses
 from analysis.core.responses.measurands import (
     default_reference,
+    driven_forces,
     reference_of,
     response_channels,
 )

@@ -7,9 +7,15 @@ from analysis.core.recordings.names import takes_path
 from analysis.core.responses.checks.channel_changes import change_warnings, without_mean_delay
 from analysis.core.responses.checks.failed_channels import failed_channel_warnings
 from analysis.core.responses.checks.tone_steps import sweep_warnings
-from analysis.core.responses.driven_forces import relative_forces, strong_forces, weak_force_warnings
 from analysis.core.responses.estimator import Blocks, Request, estimator_of
-from analysis.core.responses.measurands import default_reference, required_channels, select_channels
+from analysis.core.responses.measurands import (
+    default_reference,
+    relative_forces,
+    required_channels,
+    select_channels,
+    strong_forces,
+    weak_force_warnings,
+)
 from daq.core.recording.markers import describe_faulty_impacts
 from daq.core.recording.recorded_test import TestKind
 from daq.core.recording.recording import Recording
@@ -81,19 +87,8 @@ def frequency_responses(
     forces = strong_forces(relative)
     inputs = forces if len(forces) > 1 else ()
     used = [*names, *(point.name for point in inputs)] if inputs else required_channels(rec, names, reference)
-    request = Request(
-        rec,
-        names,
-        reference,
-        motion,
-        blocks,
-        progress,
-        used,
-        measured,
-        inputs,
-        number(level, FORCE, "level"),
-        direction,
-    )
+    amplitude = number(level, FORCE, "level")
+    request = Request(rec, names, reference, motion, blocks, progress, used, measured, inputs, amplitude, direction)
     computed = own_estimator.compute(request)
     warnings = weak_force_warnings(relative)
     warnings += failed_channel_warnings(rec, used, names)

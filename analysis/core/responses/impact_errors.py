@@ -1,4 +1,4 @@
-"""Errors of the force and the gains in impact tests due to noise and rounding of the readings."""
+"""Errors of the force and the gains in impact tests due to noise, rounding and sampling jitter."""
 
 from collections.abc import Iterable, Sequence
 
@@ -24,6 +24,9 @@ _COARSER_CONVERTERS = ((2.0, 6.0), (3.0, 8.0))
 _MIN_COUNTS = 6.0
 # Largest repeating fraction of the rounding error if noise dithers the signal: that of noise of half a count.
 _MAX_REPRODUCIBLE = 0.007
+
+# Order of a polynomial that is as flexible as the fitted ratio of two polynomials: the sum of their orders.
+_FIT_ORDER = 2 * ORDER
 
 
 def force_noise(
@@ -124,6 +127,35 @@ def rounding_gain_error(
     gain_error = np.where((max_counts < _MIN_COUNTS) & (reproducible > _MAX_REPRODUCIBLE), np.inf, gain_error)
     gain_error = np.nan_to_num(gain_error, nan=np.inf, posinf=np.inf)
     return np.asarray(np.where(steps > 0.0, reproducible * gain_error, 0.0))
+
+
+def jitter_factor(
+    rec: Recording, names: Sequence[str], impacts: Sequence[tuple[int, int]], size: int, half_width: int
+) -> Array:
+    """Compute the square-root factor of the covariance of jitter errors that resemble a response to an impact.
+
+    A sample with a delay t has an error of t times the slope of its signal. Slopes are steepest during an impact and
+    shortly after it. Errors of these samples are as smooth over the lines as the response, so the scatter does not show
+    them. Each sample is weighted by its effect on a local fit to `half_width` bins on either side of a line. All
+    channels have the same delay. `impacts`: first and last sample of each impact; `size`: samples of the Fourier
+    transform. The result has the shape (rows, channels).
+    """
+    deviation_samples = (rec.scene.converter.jitter or 0.0) * rec.rate
+    factor = np.zeros((0, len(names)))
+    if not deviation_samples:
+        return factor
+    # A polynomial fit weights the samples: from the impact, weights fall to zero in this number of samples.
+    n_samples = size * (_FIT_ORDER + 1) // (2 * half_width + 1)
+    weights = scipy.signal.savgol_coeffs(2 * half_width + 1, _FIT_ORDER)
+    cosines = np.cos(2.0 * np.pi / size * np.arange(n_samples)[:, None] * np.arange(-half_width, half_width + 1))
+    sample_weights = cosines @ weights
+    for begin, _ in impacts:
+        readings = np.stack([rec.read(name, max(begin - 1, 0), begin + n_samples) for name in names])
+        slopes = np.diff(readings, axis=1)
+        slopes *= deviation_samples * sample_weights[: slopes.shape[1]]
+        rows = np.concatenate([factor, slopes.T / np.sqrt(len(impacts))])
+        factor = np.asarray(np.linalg.qr(rows, mode="r"))
+    return factor
 
 
 def _longer_transform(power: Array, size: int, new_size: int) -> Array:

@@ -4,7 +4,7 @@ A tone, its harmonics, an offset and a slope are fitted to the window by least s
 of whole periods, whose scatter determines the uncertainty.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import NamedTuple
@@ -56,6 +56,16 @@ class _Parts(NamedTuple):
     ends: Array  # first and last sample, shape (parts, 2, channels)
 
 
+class _PartTerms(NamedTuple):
+    """Terms of the fit in a part of a given length, in pieces of at most `_SAMPLES_PER_PRODUCT` samples."""
+
+    # first sample of each piece, matrix from its terms to those of the part, and its terms
+    pieces: list[tuple[int, Array, Array]]
+    gram: Array  # Gram matrix of the terms
+    factor: Array  # its Cholesky factor
+    square_of_slope: Array  # scalar products of the terms with the square of the slope term
+
+
 class LockIn:
     """Lock-in detection of a tone and its harmonics, with samples added in one or several parts at a time.
 
@@ -83,9 +93,8 @@ class LockIn:
         self.frequency = frequency
         self.rate = rate
         self.harmonics = harmonics
-        self._basis: dict[int, Array] = {}
-        self._grams: dict[int, tuple[Array, Array]] = {}
-        self._rotations: dict[int, Array] = {}
+        self._basis = np.empty((2 * harmonics + 2, 0))  # terms at the first samples of a piece
+        self._part_terms: dict[int, _PartTerms] = {}
         self._parts: list[_Parts] = []
         self._samples = 0
 
@@ -101,11 +110,11 @@ class LockIn:
         for length in set(lengths):
             is_equal = part_lengths == length
             parts = np.stack([samples[:, first : first + length] for first in firsts[is_equal]])
-            pieces = list(self._pieces(length))
+            pieces, gram, *_ = self._terms_of(length)
             projection = np.zeros((len(parts), n_terms, len(samples)))
             for start, rotation, basis in pieces:
                 projection += rotation @ (basis @ parts[:, :, start : start + basis.shape[1]].mT)
-            columns = np.linalg.solve(self._gram(length)[0], np.concatenate(list(projection), axis=1))
+            columns = np.linalg.solve(gram, np.concatenate(list(projection), axis=1))
             fits = columns.reshape(n_terms, len(parts), -1).swapaxes(0, 1)
             residual_squares, products = np.zeros((2, *parts.shape[:2]))
             square_of_slope = np.linspace(-1.0, 1.0, length) ** 2
@@ -128,9 +137,8 @@ class LockIn:
         firsts = parts.firsts
         window_to_part = self._window_to_part(firsts, parts.lengths)
         distinct_lengths, index = np.unique(parts.lengths, return_inverse=True)
-        grams, factors = (
-            np.stack(matrices) for matrices in zip(*map(self._gram, distinct_lengths.tolist()), strict=True)
-        )
+        terms = map(self._terms_of, distinct_lengths.tolist())
+        grams, factors, squares_of_slope = map(np.stack, list(zip(*terms, strict=True))[1:])
         normal_matrix = (window_to_part.mT @ grams[index] @ window_to_part).sum(axis=0)
 
         def solve(projections: Array) -> tuple[Array, Array]:
@@ -142,7 +150,6 @@ class LockIn:
         # A drift that is not linear, such as the settling of a sensor's bias, would resemble a tone in each part.
         _, with_drift = solve(parts.projections)
         drift, curvature = _drift(parts, self._residual(parts, grams[index], with_drift)[:, 0])
-        squares_of_slope = np.stack([self._square_of_slope(length) for length in distinct_lengths.tolist()])
         parts = _without_curvature(parts, curvature, grams, squares_of_slope, index)
         solution, common = solve(parts.projections - grams[index][:, :, :2] @ drift)
         common[:, :2] += drift
@@ -207,50 +214,36 @@ class LockIn:
         angle = 2 * np.pi * np.fmod(cycles, 1.0)
         return np.stack([np.cos(angle), -np.sin(angle)], axis=2).reshape(samples.size, -1)
 
-    def _gram(self, length: int) -> tuple[Array, Array]:
-        """Return the Gram matrix of the terms in a part of `length` samples, and its Cholesky factor (cached)."""
-        if length not in self._grams:
-            gram = np.asarray(
-                sum(rotation @ basis @ basis.T @ rotation.T for _, rotation, basis in self._pieces(length))
-            )
-            self._grams[length] = gram, np.linalg.cholesky(gram)
-        return self._grams[length]
+    def _terms_of(self, length: int) -> _PartTerms:
+        """Return the terms of the fit in a part of `length` samples (cached).
 
-    def _square_of_slope(self, length: int) -> Array:
-        """Return the scalar products of the terms in a part of `length` samples with the square of the slope term."""
-        square = np.linspace(-1.0, 1.0, length) ** 2
-        return np.asarray(
-            sum(
-                rotation @ (basis @ square[start : start + basis.shape[1]])
-                for start, rotation, basis in self._pieces(length)
-            )
-        )
-
-    def _pieces(self, length: int) -> Iterator[tuple[int, Array, Array]]:
-        """Yield for each piece of a part: first sample, matrix from its terms to those of the part, its terms.
-
-        A piece has at most `_SAMPLES_PER_PRODUCT` samples. The terms of all pieces are equal except for the slope and a
-        rotation of each harmonic. The terms of a single piece are therefore sufficient for a part of any length.
+        The terms of all pieces are equal except for the slope and a rotation of each harmonic. The terms of a single
+        piece are therefore sufficient for a part of any length.
         """
-        starts = np.arange(0, length, _SAMPLES_PER_PRODUCT)
-        if length not in self._rotations:
+        if length not in self._part_terms:
+            starts = np.arange(0, length, _SAMPLES_PER_PRODUCT)
             rotations = np.zeros((starts.size, 2 * self.harmonics + 2, 2 * self.harmonics + 2))
             # The slope of a part ranges from -1 to 1; the slope of a piece increases by 1 per sample.
             step = 2.0 / max(length - 1, 1)
             rotations[:, 0, 0], rotations[:, 1, 0], rotations[:, 1, 1] = 1.0, starts * step - 1.0, step
             self._rotate(rotations, starts)
-            self._rotations[length] = rotations
-        for start, rotation in zip(starts.tolist(), self._rotations[length], strict=True):
-            piece_length = min(_SAMPLES_PER_PRODUCT, length - start)
-            if piece_length not in self._basis:
-                sample_numbers = np.arange(piece_length)
+            lengths = np.diff([*starts, length]).tolist()
+            if self._basis.shape[1] < lengths[0]:
+                sample_numbers = np.arange(lengths[0])
                 tone = np.exp(2j * np.pi * np.fmod(self.frequency / self.rate * sample_numbers, 1.0))
                 # The k-th harmonic is the k-th power of the tone (complex exponential).
-                tones = np.cumprod(np.broadcast_to(tone, (self.harmonics, piece_length)), axis=0)
-                basis = np.empty((2 * self.harmonics + 2, piece_length))
+                tones = np.cumprod(np.broadcast_to(tone, (self.harmonics, lengths[0])), axis=0)
+                basis = self._basis = np.empty((2 * self.harmonics + 2, lengths[0]))
                 basis[0], basis[1], basis[2::2], basis[3::2] = 1.0, sample_numbers, tones.real, -tones.imag
-                self._basis[piece_length] = basis
-            yield start, rotation, self._basis[piece_length]
+            pieces = [
+                (start, rotation, self._basis[:, :count])
+                for start, rotation, count in zip(starts.tolist(), rotations, lengths, strict=True)
+            ]
+            gram = np.asarray(sum(rotation @ basis @ basis.T @ rotation.T for _, rotation, basis in pieces))
+            square = np.linspace(-1.0, 1.0, length) ** 2
+            products = [rotation @ (basis @ square[start:][: basis.shape[1]]) for start, rotation, basis in pieces]
+            self._part_terms[length] = _PartTerms(pieces, gram, np.linalg.cholesky(gram), np.asarray(sum(products)))
+        return self._part_terms[length]
 
     def _rotate(self, matrices: Array, firsts: NDArray[np.int64]) -> None:
         """Set the rotations of the harmonics from terms at the first sample to terms at the samples `firsts`."""

@@ -19,8 +19,7 @@ from analysis.core.responses.checks.clean_segments import Flaw, clean_segments, 
 from analysis.core.responses.errors.systematic import noise_gain_error, power_in_counts
 from analysis.core.responses.force_pulse import high_pass_response
 from analysis.core.responses.hammer_impacts import PRE_IMPACT_S, HammerImpacts
-from analysis.core.responses.impact_errors import force_noise, rounding_gain_error
-from analysis.core.responses.local_models.jitter import jitter_factor
+from analysis.core.responses.impact_errors import force_noise, jitter_factor, rounding_gain_error
 from analysis.core.responses.local_models.local_spectra import FIT_HALF_WIDTH, LocalSpectra
 from analysis.core.responses.local_models.low_spectra import low_spectra
 from analysis.core.responses.measurands import Measurand, response_channels
@@ -64,8 +63,8 @@ class SegmentFits:
     # period of bursts and duration of each burst in samples; None for tests without bursts
     bursts: tuple[int, int] | None = None
     warnings: tuple[str, ...] = ()  # in full sentences
-    # spectra of random tests by channels, because all responses use the same spectra
-    stored: dict[tuple[str, ...], LocalSpectra] = field(default_factory=dict)
+    # spectra of a random test, because all responses use the same spectra
+    stored: list[LocalSpectra] = field(default_factory=list)
 
     def frf(
         self, rec: Recording, numerator: Measurand, denominator: Measurand, others: Sequence[Measurand] = ()
@@ -74,8 +73,10 @@ class SegmentFits:
         segments, notes = self.usable_segments(rec, [name for each in (denominator, *others) for name in each.channels])
         warnings = (*self.warnings, *notes)
         if self.impacts is None:
-            spectra = self.spectra(rec, self.channels, segments)
-            return spectra.frf(rec, numerator, denominator, others, warnings=warnings)
+            if not self.stored:
+                longest = max(stop - start for start, stop in segments)
+                self.stored.append(self._spectra(rec, self.channels, segments, [], longest))
+            return self.stored[0].frf(rec, numerator, denominator, others, warnings=warnings)
         # Whether the rig was at rest before the impacts is determined from the channels of each response.
         names = tuple(dict.fromkeys([*numerator.channels, *denominator.channels]))
         longest = max(stop - start for start, stop in segments)
@@ -113,12 +114,6 @@ class SegmentFits:
                 advice += f", or use only the other channels (`response`: {', '.join(others)})"
             raise RecordingError(f"{rec.path}: {' '.join([*notes, f'No response can be estimated: {advice}.'])}")
         return segments, notes
-
-    def spectra(self, rec: Recording, names: tuple[str, ...], segments: Sequence[tuple[int, int]]) -> LocalSpectra:
-        """Return the spectra of channels of a test without impacts."""
-        if names not in self.stored:
-            self.stored[names] = self._spectra(rec, names, segments, [], max(stop - start for start, stop in segments))
-        return self.stored[names]
 
     def _sufficient_segments(
         self, rec: Recording, clean: Sequence[tuple[int, int]]

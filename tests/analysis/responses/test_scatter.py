@@ -6,8 +6,8 @@ from scipy import stats
 
 from analysis.core.responses import estimators
 from analysis.core.responses.errors.scatter import Scatter, moderate
+from analysis.core.responses.errors.systematic import jitter_limit
 from analysis.core.responses.estimators import AveragedSpectra, square_root
-from analysis.core.responses.local_models.jitter import jitter_limit
 from analysis.core.responses.lock_in import LockIn, parts_of_whole_periods
 from analysis.core.responses.measurands import motion_of, reference_of
 from daq.core.recording.recording import Recording

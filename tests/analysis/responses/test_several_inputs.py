@@ -15,8 +15,8 @@ from analysis.commands.presentation.mode_findings import present_modes
 from analysis.core.modal.modes import Modes
 from analysis.core.modal.several_references import separate
 from analysis.core.responses.checks.several_inputs import reciprocity
-from analysis.core.responses.driven_forces import driven_forces
 from analysis.core.responses.estimator import Blocks, Request, estimator_of
+from analysis.core.responses.measurands import driven_forces
 from analysis.extras.formats.results import export_results
 from daq.core.excitation.station import Station
 from daq.core.recording.markers import Marker

@@ -13,7 +13,7 @@ structure affects all outputs, and is not reported.
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 import scipy
@@ -45,8 +45,8 @@ _SECTIONS = 16
 _MAX_PARTS = 256
 # Maximum number of values of the spectra of all parts in memory (64 MB), if at least `_SECTIONS` parts remain.
 _MAX_VALUES = 1 << 22
-# A step is reported if it exceeds this fraction of the larger gain ...
-_MIN_CHANGE = 0.1
+#: A step is reported if it exceeds this fraction of the larger gain ...
+MIN_CHANGE = 0.1
 # ... and if the scatter would cause such a step with at most this probability (Student's t distribution).
 _SCATTER_PROBABILITY = 1e-5
 # Smallest reported change of a delay, as the phase that it causes at the highest frequency [rad].
@@ -65,8 +65,8 @@ _TURNS_SPACING = 0.1
 _MIN_UNIFORMITY = 2.0
 # Largest error of the delay of a channel, relative to that of a channel which may have caused the same change.
 _MAX_ERROR_RATIO = 0.5
-# Largest change of the other channels' gains at a step, relative to it, unless they change by the same factor.
-_MAX_COMMON = 0.25
+#: Largest change of the other channels' gains at a step, relative to it, unless they change by the same factor.
+MAX_COMMON = 0.25
 # A channel whose gain falls below this fraction has failed: only noise and crosstalk remain.
 _FAILED_RATIO = 0.05
 # Smallest power of the largest input at an evaluated line, relative to the mean; at other lines, noise dominates.
@@ -137,14 +137,12 @@ def change_warnings(rec: Recording, parts: Parts, channels: Sequence[str]) -> li
     if len(clean) < max(_MIN_PERIODS, len(inputs) + 1):
         return []
     x, y = spectra[:, : len(inputs)], spectra[:, len(inputs) :]
-    test = _Test(clean, rec.rate, inputs, outputs, parts.is_steady)
-    compared = _Compared.of(x, y, frequency, test)
+    test = frequency, clean, rec.rate, parts.is_steady
+    compared = _Compared.of(inputs, x, outputs, y, *test)
     delays = compared.delay_changes()
     if 1 < len(inputs) <= len(outputs):
         # The responses determine the inputs; a late input differs from the other inputs.
-        exchanged = _Compared.of(
-            _components(y, len(inputs)), x, frequency, replace(test, inputs=outputs, outputs=inputs)
-        )
+        exchanged = _Compared.of(outputs, _components(y, len(inputs)), inputs, x, *test)
         delays = _select(delays, exchanged.delay_changes())
     warnings = [delay.describe() for delay in delays]
     # The delay of an input, or of a channel that may be an input, changes the relative gains of all outputs.
@@ -236,49 +234,37 @@ def _components(outputs: ComplexArray, count: int) -> ComplexArray:
 
 
 @dataclass(frozen=True)
-class _Test:
-    """Parts and channels of a test."""
-
-    starts: Sequence[int]  # first sample of each part
-    rate: float  # Hz
-    inputs: Sequence[str]
-    outputs: Sequence[str]
-    is_steady: bool
-
-    def cause(self, steps: Mapping[int, _Step], row: int, quantity: str) -> str:
-        """Return the channel that causes a step of an output: the output, or the input of all; "" if it is unknown.
-
-        `steps`: changes of all outputs at the step of the output `row`; `quantity`: property that an input changes
-        equally.
-        """
-        step, others = steps[row], [other for index, other in steps.items() if index != row]
-        if all(abs(other.change) < _MAX_COMMON * abs(step.change) for other in others):
-            return self.outputs[row]
-        own = getattr(step, quantity)
-        is_common = all(abs(getattr(other, quantity) - own) <= _MAX_COMMON * abs(own) for other in others)
-        return self.inputs[0] if is_common and len(self.inputs) == 1 else ""
-
-
-@dataclass(frozen=True)
 class _Compared:
     """Spectra of the inputs, of the outputs and of their predictions, shape (lines, parts, channels)."""
 
-    test: _Test
+    input_names: Sequence[str]
+    outputs: Sequence[str]
     inputs: ComplexArray
     measured: ComplexArray
     predicted: ComplexArray
-    frequency: Array  # Hz
     freedom: float  # degrees of freedom of the deviations, relative to the number of parts
+    frequency: Array  # Hz
+    starts: Sequence[int]  # first sample of each part
+    rate: float  # Hz
+    is_steady: bool
 
     @classmethod
-    def of(cls, inputs: ComplexArray, outputs: ComplexArray, frequency: Array, test: _Test) -> Self:
-        """Predict outputs from inputs; spectra of shape (parts, channels, lines)."""
+    def of(
+        cls,
+        input_names: Sequence[str],
+        inputs: ComplexArray,
+        outputs: Sequence[str],
+        measured: ComplexArray,
+        frequency: Array,
+        *test: Any,
+    ) -> Self:
+        """Predict outputs from inputs; spectra of shape (parts, channels, lines); `test`: the last three fields."""
         power = (abs(inputs) ** 2).mean(axis=0).max(axis=0)
         excited = power > _MIN_POWER * power.mean()
-        x, y = (np.moveaxis(spectra[:, :, excited], 2, 0) for spectra in (inputs, outputs))
+        x, y = (np.moveaxis(spectra[:, :, excited], 2, 0) for spectra in (inputs, measured))
         # The prediction is fitted to the noisy parts, which reduces the scatter.
-        freedom = max(1.0 - inputs.shape[1] / len(outputs), 1e-300)
-        return cls(test, x, y, y, frequency[excited], freedom).predict(slice(None))
+        freedom = max(1.0 - inputs.shape[1] / len(measured), 1e-300)
+        return cls(input_names, outputs, x, y, y, freedom, frequency[excited], *test).predict(slice(None))
 
     def predict(self, parts: slice) -> Self:
         """Predict the outputs of all parts by the responses of these parts."""
@@ -287,22 +273,35 @@ class _Compared:
 
     def without(self, omitted: Collection[str]) -> Self:
         """Omit outputs."""
-        rows = [row for row, name in enumerate(self.test.outputs) if name not in omitted]
-        test = replace(self.test, outputs=[self.test.outputs[row] for row in rows])
-        return replace(self, test=test, measured=self.measured[:, :, rows], predicted=self.predicted[:, :, rows])
+        rows = [row for row, name in enumerate(self.outputs) if name not in omitted]
+        measured, predicted = (spectra[:, :, rows] for spectra in (self.measured, self.predicted))
+        return replace(self, outputs=[self.outputs[row] for row in rows], measured=measured, predicted=predicted)
+
+    def cause(self, steps: Mapping[int, _Step], row: int, quantity: str) -> str:
+        """Return the channel that causes a step of an output: the output, or the input of all; "" if it is unknown.
+
+        `steps`: changes of all outputs at the step of the output `row`; `quantity`: property that an input changes
+        equally.
+        """
+        step, others = steps[row], [other for index, other in steps.items() if index != row]
+        if all(abs(other.change) < MAX_COMMON * abs(step.change) for other in others):
+            return self.outputs[row]
+        own = getattr(step, quantity)
+        is_common = all(abs(getattr(other, quantity) - own) <= MAX_COMMON * abs(own) for other in others)
+        return self.input_names[0] if is_common and len(self.input_names) == 1 else ""
 
     def gain_warnings(self) -> list[str]:
         """Return a warning for each channel whose gain changes."""
-        test, warnings = self.test, []
+        warnings = []
         gains, limits = self.gains()
-        for k, name in enumerate(test.outputs):
-            step = _largest_step(gains[k], limits[k], test.is_steady)
-            if step is None or abs(step.change) <= _MIN_CHANGE * max(abs(step.before), abs(step.after)):
+        for k, name in enumerate(self.outputs):
+            step = _largest_step(gains[k], limits[k], self.is_steady)
+            if step is None or abs(step.change) <= MIN_CHANGE * max(abs(step.before), abs(step.after)):
                 continue
-            time = _time(step, gains[k], test.starts, test.rate)
-            cause = test.cause({row: _changed(each, step.part) for row, each in enumerate(gains)}, k, "ratio")
+            time = self.time(step, gains[k])
+            cause = self.cause({row: _changed(each, step.part) for row, each in enumerate(gains)}, k, "ratio")
             if cause == name:
-                blamed = name if len(gains) > 1 else " or ".join([name, *test.inputs])
+                blamed = name if len(gains) > 1 else " or ".join([name, *self.input_names])
                 warnings.append(describe_change(blamed, step.ratio, time))
             elif cause:
                 # A failed input predicts zero for all responses.
@@ -312,27 +311,36 @@ class _Compared:
 
     def delay_changes(self) -> list[_Delay]:
         """Return the change of each channel whose delay changes."""
-        test, found = self.test, list[_Delay]()
+        found = list[_Delay]()
         delays, limits = self.delays()
+        min_change = _MIN_PHASE / (2.0 * np.pi * float(self.frequency.max()))
         determined = np.flatnonzero(np.isfinite(delays).all(axis=1)).tolist()
         for k in determined:
-            step = _largest_step(delays[k], limits[k], test.is_steady)
-            if step is None or abs(step.change) < self.min_delay:
+            step = _largest_step(delays[k], limits[k], self.is_steady)
+            if step is None or abs(step.change) < min_change:
                 continue
-            time, refined, errors = _time(step, delays[k], test.starts, test.rate), delays, limits
+            time, refined, errors = self.time(step, delays[k]), delays, limits
             if step.part >= self.inputs.shape[2]:
                 # Predictions from the parts before the step contain no noise of those after it.
                 from_before, errors = self.predict(slice(step.part)).delays()
                 refined = np.where(np.isfinite(from_before), from_before, delays)
             steps = {row: _changed(refined[row], step.part) for row in determined}
-            cause = test.cause(steps, k, "change")
+            cause = self.cause(steps, k, "change")
             delay = _Delay(cause, steps[k].change, time, float(np.median(errors[k, step.part :])), "")
-            if cause == test.outputs[k]:
-                found.append(delay._replace(reference="" if len(steps) > 1 else " or ".join(test.inputs)))
+            if cause == self.outputs[k]:
+                found.append(delay._replace(reference="" if len(steps) > 1 else " or ".join(self.input_names)))
             elif cause:
                 # If all responses become early, the input has become late.
                 return [*found, delay._replace(change=-delay.change)]
         return found
+
+    def time(self, step: _Step, values: Array) -> str:
+        """Describe the instant of a step, which the value of its part shows to a tenth of the distance of two parts."""
+        if values.size < _MIN_PARTS_WITHOUT_STEP:
+            return f"{self.starts[step.part] / self.rate:.4g} s"
+        share = round(float(np.clip((step.after - values[step.part]) / step.change, 0.0, 1.0)), 1)
+        first, last = self.starts[step.part : step.part + 2]
+        return f"{((1.0 - share) * first + share * last) / self.rate:.4g} s"
 
     def gains(self) -> tuple[Array, Array]:
         """Return gains relative to all parts, and the smallest visible steps, (outputs, parts)."""
@@ -346,11 +354,6 @@ class _Compared:
         deviation = np.sqrt(np.sum(weight * abs(y - gains * predicted) ** 2, axis=0) / predicted_power / self.freedom)
         factor = max(_MIN_UNIFORMITY, scipy.stats.t.isf(_SCATTER_PROBABILITY, 2 * lines - 1) / np.sqrt(lines))
         return np.asarray(gains.T), np.asarray(factor * deviation.T)
-
-    @property
-    def min_delay(self) -> float:
-        """Smallest reported change of a delay [s]."""
-        return _MIN_PHASE / (2.0 * np.pi * float(self.frequency.max()))
 
     def delays(self) -> tuple[Array, Array]:
         """Return delays relative to all parts [s], NaN if noise hides a part, and smallest visible steps (as gains)."""
@@ -411,12 +414,3 @@ def _largest_step(values: Array, limits: Array, is_steady: bool) -> _Step | None
         error = np.sqrt(scatter(part) / freedom * sum(1.0 / count for count in counts))
         limit = max(limit, scipy.stats.t.isf(_SCATTER_PROBABILITY, freedom) * error)
     return step if abs(step.change) > limit else None
-
-
-def _time(step: _Step, values: Array, starts: Sequence[int], rate: float) -> str:
-    """Describe the instant of a step, which the value of its part shows to a tenth of the distance of two parts."""
-    if values.size < _MIN_PARTS_WITHOUT_STEP:
-        return f"{starts[step.part] / rate:.4g} s"
-    share = round(float(np.clip((step.after - values[step.part]) / step.change, 0.0, 1.0)), 1)
-    first, last = starts[step.part : step.part + 2]
-    return f"{((1.0 - share) * first + share * last) / rate:.4g} s"

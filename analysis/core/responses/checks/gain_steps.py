@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.core.responses.checks.channel_changes import describe_change, describe_delay
+from analysis.core.responses.checks.channel_changes import MAX_COMMON, MIN_CHANGE, describe_change, describe_delay
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.results import format_number
 from rig.core.results.response import Response
@@ -43,13 +43,9 @@ _MIN_RESIDUAL = 0.01
 _MAX_REMAINING_FRACTION = 0.2
 # ... and below this limit.
 _MAX_REMAINING = 0.1
-# Smallest reported magnitude of the logarithm of the ratio for linear structures: about 10 %.
-_MIN_CHANGE = 0.1
-# Smallest reported magnitude of the logarithm of the ratio for nonlinear structures, about 30 %: curves with moving
-# dampers are not rational. Of 32 intact sweeps, three had ratios up to 0.21.
+# Smallest reported magnitude of the logarithm of the ratio for nonlinear structures, about 30 %, instead of
+# `MIN_CHANGE`: curves with moving dampers are not rational. Of 32 intact sweeps, three had ratios up to 0.21.
 _MIN_NONLINEAR_CHANGE = 0.3
-# Largest logarithmic gain ratio of other channels at a step of one channel, relative to it, unless all equal it.
-_MAX_COMMON = 0.25
 # Logarithms of the trial ratios: changes of the gain, and changes of the phase at the step due to delays.
 _TRIALS: tuple[Array, ComplexArray] = (
     np.linspace(-5.0, 5.0, 101),
@@ -86,7 +82,7 @@ def step_warnings(response: Response, is_linear: bool) -> list[str]:
     positions = np.arange(_POINTS_PER_SIDE + excluded, frequency.size - _POINTS_PER_SIDE - excluded)
     if not positions.size or (len(curves) == 1 and not is_linear):
         return []
-    min_change = _MIN_CHANGE if is_linear else _MIN_NONLINEAR_CHANGE
+    min_change = MIN_CHANGE if is_linear else _MIN_NONLINEAR_CHANGE
     residuals = np.array([_residuals(frequency, curve, positions, excluded, 0.0) for curve in curves])
     steps = [_best_step(frequency, *curve, positions, excluded) for curve in zip(curves, residuals, strict=True)]
     names, reference, warnings = [point.name for point in response.outputs], response.inputs[0].name, []
@@ -100,15 +96,16 @@ def step_warnings(response: Response, is_linear: bool) -> list[str]:
             noise_ratio = np.sqrt(np.mean(known**2)) if known.size else np.inf
             limit = max(_MIN_BLURRED_RESIDUAL, others[largest] / _MAX_OTHER_RESIDUAL, noise_ratio / _MAX_NOISE_RATIO)
             if is_linear and excluded and len(names) > 1 and residuals[k, largest] > limit:
-                warnings.append(describe_change(name, np.nan, _place(frequency[positions[largest]])))
+                warnings.append(describe_step(name, complex(np.nan), frequency[positions[largest]]))
             continue
+        trials = _TRIALS[1] if step.log_ratio.imag else _TRIALS[0]
         others = [
-            _fit_ratios(frequency, curve, np.array([step.position]), excluded, _trials_like(step))[0].item()
+            _fit_ratios(frequency, curve, np.array([step.position]), excluded, trials)[0].item()
             for curve in np.delete(curves, k, axis=0)
         ]
-        if all(abs(other) < _MAX_COMMON * abs(step.log_ratio) for other in others):
+        if all(abs(other) < MAX_COMMON * abs(step.log_ratio) for other in others):
             warnings.append(describe_step(name, step.log_ratio, frequency[step.position], "" if others else reference))
-        elif is_linear and all(abs(other - step.log_ratio) < _MAX_COMMON * abs(step.log_ratio) for other in others):
+        elif is_linear and all(abs(other - step.log_ratio) < MAX_COMMON * abs(step.log_ratio) for other in others):
             warnings.append(describe_step(reference, -step.log_ratio, frequency[step.position]))
             break
     return warnings
@@ -119,20 +116,12 @@ def describe_step(name: str, log_ratio: complex, frequency: float, reference: st
 
     `frequency`: Hz; `reference`: the other channel that may be the cause; `time`: text after the frequency.
     """
-    place = f"{_place(frequency)}{time}"
+    place = f"{format_number(float(f'{frequency:.3g}'))} Hz{time}"
     if log_ratio.imag:
         delay = -log_ratio.imag / (2.0 * np.pi * frequency)
         return describe_delay(name, delay, place, reference, period=1.0 / frequency)
     blamed = f"{name} or {reference}" if reference else name
     return describe_change(blamed, float(np.exp(log_ratio.real)), place)
-
-
-def _place(frequency: float) -> str:
-    return f"{format_number(float(f'{frequency:.3g}'))} Hz"
-
-
-def _trials_like(step: _Step) -> Array | ComplexArray:
-    return _TRIALS[1] if step.log_ratio.imag else _TRIALS[0]
 
 
 def _best_step(

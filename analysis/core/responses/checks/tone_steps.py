@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.core.recordings.slices import read_slices
+from analysis.core.responses.checks.channel_changes import MAX_COMMON, MIN_CHANGE
 from analysis.core.responses.checks.clean_segments import Flaw, find_flaws
 from analysis.core.responses.checks.gain_steps import describe_step, step_warnings
 from daq.core.recording.recording import Recording
@@ -47,17 +48,13 @@ _MAX_VALUES = 2_000_000
 _MAX_REMAINING_FRACTION = 0.35
 # Largest rms residual over rms reading: of a step of the gain in its model, and of a tone not hidden by noise.
 _MAX_REMAINING = 0.1
-# Smallest reported change of the logarithm of a gain, and of a phase [rad].
-_MIN_CHANGE = 0.1
-# Largest change of another channel at the same instant, as a fraction of the change of the reported channel.
-_MAX_COMMON = 0.25
 # A channel is searched in a block if its readings span more than this number of counts of the converter. A smaller
 # tone, as at an antiresonance, appears suddenly when it exceeds half a count.
 _MIN_COUNTS = 8.0
-# Smallest rms residual over rms reading without drift that a step of `_MIN_CHANGE` in the searched part of a block
+# Smallest rms residual over rms reading without drift that a step of `MIN_CHANGE` in the searched part of a block
 # leaves in the model without a step. The amplitudes of the model are quadratic: they fit a step at 15 % of a block
 # worst, except for 0.18 of the step (0.25 in the middle). The factor 0.5 is a margin.
-_MIN_RESIDUAL = 0.5 * 0.18 * _MIN_CHANGE
+_MIN_RESIDUAL = 0.5 * 0.18 * MIN_CHANGE
 # Largest rms residual of another channel with the same step in its model, relative to that without the step.
 _MAX_FRACTION_OF_STEP = 0.7
 # A block is searched if a step may explain the mean values of groups of samples, of which a period has this number: the
@@ -181,7 +178,7 @@ def _steps_of_block(block: Array, model: _Model) -> dict[int, tuple[int, complex
             log_ratio = complex(fits.log_ratio[best, row])
             if row in steps or not fits.are_steps()[best, row]:
                 continue
-            if max(np.delete(fits.steps_at(best), row)) < _MAX_COMMON * abs(log_ratio):
+            if max(np.delete(fits.steps_at(best), row)) < MAX_COMMON * abs(log_ratio):
                 steps[row] = int(model.positions[best]), log_ratio
     return steps
 
@@ -196,7 +193,7 @@ class _Fits(NamedTuple):
     def are_steps(self, tolerance: float = 1.0) -> NDArray[np.bool_]:
         """Return whether a step before each position explains each row; `tolerance`: factor that relaxes the limits."""
         limit = tolerance * np.minimum(_MAX_REMAINING_FRACTION * self.residual, _MAX_REMAINING)
-        return np.asarray((self.remaining < limit) & (abs(self.log_ratio) >= _MIN_CHANGE / tolerance))
+        return np.asarray((self.remaining < limit) & (abs(self.log_ratio) >= MIN_CHANGE / tolerance))
 
     def steps_at(self, index: int) -> Array:
         """Return the magnitude of the logarithm of each ratio at a position; 0 if this does not reduce the residual."""

@@ -16,7 +16,7 @@ from daq.core.recording.recording import Recording
 from daq.core.signal_chain.channel import ChannelInfo
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.results.response import MOTIONS
-from rig.core.results.uncertainty import CLOCK, SENSITIVITY, Sources
+from rig.core.results.uncertainty import CLOCK, COVERAGE_FACTOR, SENSITIVITY, Sources
 from rig.core.settings.quantities import PER_KELVIN, RATIO, TEMPERATURE, Kind, parse
 
 # Names of the errors.
@@ -201,6 +201,21 @@ def rounding_limit(gain: Array, contributions: ChannelContributions) -> dict[str
     if not gain.any():
         return {}
     return {RESOLUTION: np.sum(gain * np.maximum(abs(contributions.gain_sensitivity), 1e-300), axis=0)}
+
+
+def jitter_limit(factor: Array, weights: ComplexArray, power: Array) -> dict[str, Array]:
+    """Compute the maximum error of a response due to jitter during and shortly after the impacts.
+
+    `weights`, shape (channels, lines): change of the response per unit change of each reading, for a reference of 1.
+    `power`: power of the reference, summed over all impacts.
+
+    >>> part = jitter_limit(np.array([[2.0, 1.0]]), np.array([[1.0], [-2.0]]) + 0j, np.ones(1))
+    >>> {name: size.tolist() for name, size in part.items()}  # equal relative errors
+    {'jitter of the sampling instants': [0.0]}
+    """
+    if not factor.any():
+        return {}
+    return {JITTER: COVERAGE_FACTOR * np.linalg.norm(factor @ weights, axis=0) / np.sqrt(np.maximum(power, 1e-300))}
 
 
 def noise_gain_error(power: Array) -> Array:

@@ -22,7 +22,7 @@ References
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeVar, cast
 
 import numpy as np
 import scipy
@@ -31,6 +31,7 @@ from numpy.typing import NDArray
 from rig.core.base.arrays import Array, ComplexArray
 
 Lines = NDArray[np.int64]
+ValueT = TypeVar("ValueT")
 
 # Order of the polynomials of numerator, denominator and transients; the next order gives the model error.
 ORDER = 2
@@ -186,13 +187,6 @@ class _LocalData(NamedTuple):
             np.asarray(first_bin),
         )
 
-    def at(self, lines: NDArray[np.intp]) -> _LocalData:
-        """Return a copy with only the selected lines."""
-        names = ("output", "channel", "start_phases", "powers", "output_rms", "reference_rms", "first_bin")
-        arrays = {name: getattr(self, name)[lines] for name in names}
-        inputs, decays = (tuple(values[lines] for values in group) for group in (self.inputs, self.decays))
-        return self._replace(inputs=inputs, decays=decays, **arrays)
-
     @property
     def scale(self) -> Array:
         """Return the factor of a response, NaN without excitation; shape (lines,)."""
@@ -234,12 +228,6 @@ class _Estimate(NamedTuple):
         """Return the variance of the real and of the imaginary part of the constant, shape (lines,)."""
         return 0.5 * self.noise_power * self.constant_variance
 
-    def at(self, lines: NDArray[np.intp]) -> _Estimate:
-        """Return a copy with only the selected lines."""
-        names = ("one_step", "constant_variance", "residual_squares", "criterion")
-        arrays = {name: getattr(self, name)[lines] for name in names}
-        return self._replace(unknown=self.unknown.at(lines), point=self.point.at(lines), **arrays)
-
 
 def _fit(data: _LocalData, measured_share: float) -> tuple[LocalFit, Array, Array]:
     """Fit all orders, and select one at each line; return the squared change by a higher order, and its variance."""
@@ -250,7 +238,7 @@ def _fit(data: _LocalData, measured_share: float) -> tuple[LocalFit, Array, Arra
     prefers_polynomial = polynomial.criterion < rational.criterion
     choices = [np.flatnonzero(prefers_polynomial), np.flatnonzero(~prefers_polynomial)]
     fits = [
-        _propagate(data.at(lines), estimate.at(lines))
+        _propagate(_at(data, lines), _at(estimate, lines))
         for lines, estimate in zip(choices, (polynomial, rational), strict=True)
         if lines.size
     ]
@@ -332,10 +320,6 @@ class _Unknown(NamedTuple):
     denominator: ComplexArray  # all coefficients but the constant one, which is 1; shape (lines, poles)
     transients: ComplexArray  # shape (lines, segments, terms)
 
-    def at(self, lines: NDArray[np.intp]) -> _Unknown:
-        """Return a copy with only the selected lines."""
-        return _Unknown(self.numerator[lines], self.denominator[lines], self.transients[lines])
-
 
 class _Terms(NamedTuple):
     """Known columns of the linear system, at the bins around each line."""
@@ -346,10 +330,6 @@ class _Terms(NamedTuple):
     transients: ComplexArray | Array  # columns of each segment; shape (lines, segments or 1, terms, width)
     # powers of the frequency offset, or the derivatives of the model; shape (lines, segments or 1, poles, width)
     denominator: ComplexArray | Array
-
-    def at(self, lines: NDArray[np.intp]) -> _Terms:
-        """Return a copy with only the selected lines."""
-        return _Terms(self.numerator[lines], self.transients[lines], self.denominator[lines])
 
     def response(self, unknown: _Unknown) -> ComplexArray:
         """Compute the quotient of the two polynomials; shape (lines, segments or 1, width)."""
@@ -387,7 +367,9 @@ def _improve(
     """Improve fits by a Gauss-Newton step; return the constant's variance, and the lines that need another step."""
     # Only lines that are improved are copied, because copies of all lines would take longer than the model.
     part, current, local_output = (
-        (terms, unknown, output) if lines.size == len(output) else (terms.at(lines), unknown.at(lines), output[lines])
+        (terms, unknown, output)
+        if lines.size == len(output)
+        else (_at(terms, lines), _at(unknown, lines), output[lines])
     )
     linearized, model = part.linearized(current)
     residual = local_output - model
@@ -451,6 +433,17 @@ def _bin_weights(terms: _Terms, segments: int) -> ComplexArray:
     q, r = np.linalg.qr(_regularize(orthogonal.reshape(lines, -1, unknowns), unknowns))
     weights = _first_row_of_inverse(r) @ np.conj(np.swapaxes(q, 1, 2))[:, :, : segments * (width + count)]
     return np.asarray(weights.reshape(lines, segments, width + count)[..., :width])
+
+
+def _at(value: ValueT, lines: NDArray[np.intp]) -> ValueT:
+    """Select lines in all arrays of a tuple; their first axis is that of the lines."""
+    selected: Any = value
+    if isinstance(value, np.ndarray):
+        selected = value[lines]
+    elif isinstance(value, tuple):
+        parts = [_at(part, lines) for part in value]
+        selected = type(value)(*parts) if hasattr(value, "_fields") else tuple(parts)
+    return cast(ValueT, selected)
 
 
 def _triangular_factor(matrices: ComplexArray) -> ComplexArray:

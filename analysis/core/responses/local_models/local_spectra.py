@@ -14,12 +14,12 @@ from analysis.core.responses.errors.random_errors import LocalErrors, SharedErro
 from analysis.core.responses.errors.systematic import (
     MODEL,
     REFERENCE_NOISE,
+    jitter_limit,
     reference_noise_limit,
     rounding_limit,
     shared_noise_limit,
 )
 from analysis.core.responses.force_pulse import slow_and_fast
-from analysis.core.responses.local_models.jitter import jitter_limit
 from analysis.core.responses.local_models.local_rational import (
     ORDER,
     POWER_RATIO_95,

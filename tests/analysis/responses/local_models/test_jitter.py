@@ -6,7 +6,7 @@ import pytest
 import analysis
 import daq
 import rig
-from analysis.core.responses.local_models.jitter import JITTER
+from analysis.core.responses.errors.systematic import JITTER
 from rig.core.system.structural_model import receptance
 
 HITS_SCENE = """

@@ -7,6 +7,7 @@ frequency of the tone is near the line. A *bin* is a frequency of the discrete F
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 import scipy
@@ -43,6 +44,8 @@ _RATIO_INCREASE = 1.1
 _POINTS = 400
 # Ratio of the number of bins of a fit to its number of parameters.
 _BINS_PER_VALUE = (2 * FIT_HALF_WIDTH + 1) / (3 * ORDER + 2)
+# Positions of the bins of a fit, relative to the line.
+_BIN_OFFSETS = np.arange(-FIT_HALF_WIDTH, FIT_HALF_WIDTH + 1)
 # Dampers are assumed to stay on their floors up to this acceleration of their body [g]. They lift off at 1 g.
 _MAX_FLOOR_ACCELERATION = 0.7
 # With dampers in flight, a sweep is slow enough if the relative error due to its sweep rate is at most this value.
@@ -133,47 +136,22 @@ def sweep_spectra(
             "The sweep began before steady state at its first frequency, so the curve may be wrong near it. Begin "
             "farther from a resonance (test.from)."
         )
-    order = sorted(np.flatnonzero(is_clean), key=lambda index: bounds[index])
-    bin_offsets = np.arange(-FIT_HALF_WIDTH, FIT_HALF_WIDTH + 1)
-    channel_spectra = np.empty((_POINTS, len(names), bin_offsets.size), dtype=complex)
-    bin_frequency = np.empty((_POINTS, bin_offsets.size))
-    variances = np.empty((len(names), _POINTS))
+    order = sorted(np.flatnonzero(is_clean).tolist(), key=lambda index: bounds[index])
     direction = 1 if marker.fields["to"] > marker.fields["from"] else -1
-    noise_levels = []
+    lines, variances = dict[int, _Line](), np.empty((len(names), _POINTS))
     blocks = read_slices(rec, names, [bounds[index] for index in order])
     for n_completed, (index, block) in enumerate(zip(order, blocks, strict=True), 1):
         if progress is not None:
             progress(n_completed, len(order))
-        segment_samples = block.shape[1]
-        center = max(int(frequency[index] * segment_samples / rec.rate), FIT_HALF_WIDTH + 1)
-        # This shift of the spectrum moves the frequency exactly onto a bin.
-        shift = frequency[index] * segment_samples / rec.rate - center
-        # The noise is estimated from bins that contain neither the tone nor its leakage.
-        half_range = max((_MIN_FREQUENCY_RATIO**0.5 - 1.0) * center, FIT_HALF_WIDTH)
-        noise_bin = center + direction * (int(_RATIO_INCREASE * half_range) + 2 * FIT_HALF_WIDTH)
-        has_noise = FIT_HALF_WIDTH < noise_bin < segment_samples // 2 - FIT_HALF_WIDTH
-        noise_bins = (
-            np.arange(noise_bin - FIT_HALF_WIDTH - 1, noise_bin + FIT_HALF_WIDTH + 2)
-            if has_noise
-            else np.zeros(0, dtype=np.int64)
-        )
-        bins = np.concatenate([center + bin_offsets, noise_bins])
-        spectrum = spectrum_at_bins(block - block.mean(axis=1, keepdims=True), bins, shift)
-        channel_spectra[index] = spectrum[:, : bin_offsets.size]
-        bin_frequency[index] = frequency[index] + bin_offsets * rec.rate / segment_samples
-        begin, width = bounds[index][0], FIT_HALF_WIDTH * rec.rate / segment_samples
+        lines[index] = _line(block, frequency[index], rec.rate, direction)
+        begin, width = bounds[index][0], FIT_HALF_WIDTH * rec.rate / block.shape[1]
         # The time at which a logarithmic sweep passes a frequency exists only for positive frequencies.
         edges = [max(frequency[index] + offset, 1e-6 * frequency[index]) for offset in (-width, width)]
         # Samples at which the sweep passes the first and the last bin of the fit.
         passage = [first + _sample_at(marker, edge, rec.rate) - begin for edge in edges]
         variances[:, index] = _samples_between(block, passage, rec.rate / frequency[index]).var(axis=1)
-        if has_noise:
-            noise = _noise(spectrum[:, bin_offsets.size :]) / segment_samples
-            noise_bin_frequency = (
-                bin_frequency[index, FIT_HALF_WIDTH] + (noise_bin - center) * rec.rate / segment_samples
-            )
-            noise_levels.append((noise_bin_frequency, *noise))
     clean_points, lengths = np.array(sorted(order)), np.array([end - begin for begin, end in bounds])
+    noise_levels = [line.noise for line in lines.values() if line.noise]
     noise = _interpolate_noise(noise_levels, frequency[clean_points], len(names))
     # Noise reduces the reproducible rounding error; its smallest value over all frequencies is used.
     noise_counts = power_in_counts(rec, names, noise.min(axis=1))
@@ -182,10 +160,10 @@ def sweep_spectra(
     )
     spectra = LocalSpectra(
         names,
-        np.moveaxis(channel_spectra[clean_points], 0, 1).reshape(1, len(names), -1),
-        np.ones((1, clean_points.size * bin_offsets.size), dtype=complex),
-        bin_frequency[clean_points].ravel(),
-        np.arange(clean_points.size) * bin_offsets.size + FIT_HALF_WIDTH,
+        np.concatenate([lines[index].spectra for index in sorted(lines)], axis=1)[None],
+        np.ones((1, clean_points.size * _BIN_OFFSETS.size), dtype=complex),
+        np.concatenate([lines[index].frequency for index in sorted(lines)]),
+        np.arange(clean_points.size) * _BIN_OFFSETS.size + FIT_HALF_WIDTH,
         FIT_HALF_WIDTH,
         1.0,
         rounding_gain_error,
@@ -197,6 +175,33 @@ def sweep_spectra(
     on_floor = _dampers_on_floor(rec, names, frequency[clean_points], variances[:, clean_points])
     omitted = frequency[~np.array(is_clean)]
     return SweptTone(spectra, sweep_rate[clean_points], tuple(notes), on_floor, omitted)
+
+
+class _Line(NamedTuple):
+    """Spectra of the bins around a line, from its segment."""
+
+    spectra: ComplexArray  # shape (channels, bins)
+    frequency: Array  # of the bins [Hz]
+    noise: tuple[float, ...]  # frequency [Hz] at which the noise is estimated, and its power in each channel; or empty
+
+
+def _line(block: Array, frequency: float, rate: float, direction: int) -> _Line:
+    """Compute the spectra around a line, shape of `block`: (channels, samples); `direction`: 1 if the sweep rises."""
+    n_samples = block.shape[1]
+    center = max(int(frequency * n_samples / rate), FIT_HALF_WIDTH + 1)
+    bins = center + _BIN_OFFSETS
+    # The noise is estimated from bins that contain neither the tone nor its leakage.
+    half_range = max((_MIN_FREQUENCY_RATIO**0.5 - 1.0) * center, FIT_HALF_WIDTH)
+    noise_bin = center + direction * (int(_RATIO_INCREASE * half_range) + 2 * FIT_HALF_WIDTH)
+    has_noise = FIT_HALF_WIDTH < noise_bin < n_samples // 2 - FIT_HALF_WIDTH
+    if has_noise:
+        bins = np.concatenate([bins, np.arange(noise_bin - FIT_HALF_WIDTH - 1, noise_bin + FIT_HALF_WIDTH + 2)])
+    # This shift of the spectrum moves the frequency exactly onto a bin.
+    spectrum = spectrum_at_bins(block - block.mean(axis=1, keepdims=True), bins, frequency * n_samples / rate - center)
+    spectra, noise_spectra = np.split(spectrum, [_BIN_OFFSETS.size], axis=1)
+    noise_frequency = frequency + (noise_bin - center) * rate / n_samples
+    noise = (noise_frequency, *(_noise(noise_spectra) / n_samples)) if has_noise else ()
+    return _Line(spectra, frequency + _BIN_OFFSETS * rate / n_samples, noise)
 
 
 def _dampers_on_floor(rec: Recording, names: Sequence[str], frequency: Array, variances: Array) -> NDArray[np.bool_]:

@@ -414,7 +414,8 @@ class LiveBench:
     @property
     def message(self) -> str:
         """The message of the last test, or on the response to NI clients that have driven the outputs."""
-        return "NI clients drive the outputs" if self.is_driven_by_clients else self.controller.message
+        drivers = [name for name, task in self.chassis.tasks.items() if task in self.chassis.outputs]
+        return f"driven by NI client {', '.join(drivers)}" if self.is_driven_by_clients else self.controller.message
 
     @property
     def state(self) -> str:

@@ -267,13 +267,13 @@ def test_theory_has_the_static_compliance(bench):
 @pytest.mark.parametrize("bench", ["sine"], indirect=True)
 def test_clients_see_a_frequency_response(bench):
     with bench.chassis.changed:
-        bench.chassis.outputs["task"] = None
+        bench.chassis.tasks["generator"], bench.chassis.outputs["task"] = "task", None
         bench._follow_clients(None, None)
         assert bench.monitor.is_estimating and bench.monitor.frf is not None
         # Level and rate are those of a test, not of a client.
         assert bench.controller.target is None and bench.controller.details == ""
-        assert bench.is_driven_by_clients and bench.message == "NI clients drive the outputs"
-        del bench.chassis.outputs["task"]
+        assert bench.is_driven_by_clients and bench.message == "driven by NI client generator"
+        del bench.chassis.tasks["generator"], bench.chassis.outputs["task"]
         bench._follow_clients(None, None)
     assert not bench.monitor.is_estimating
     assert not bench.is_driven_by_clients and bench.message == "response to the drive of NI clients"
@@ -283,13 +283,13 @@ def test_clients_see_a_frequency_response(bench):
 def test_clients_leave_message_of_aborted_test(bench):
     bench.controller._on_end("a client has taken the output")
     with bench.chassis.changed:
-        bench.chassis.outputs["task"] = None
+        bench.chassis.tasks["generator"], bench.chassis.outputs["task"] = "task", None
         bench._follow_clients(None, None)
         during = bench.message
-        del bench.chassis.outputs["task"]
+        del bench.chassis.tasks["generator"], bench.chassis.outputs["task"]
         bench._follow_clients(None, None)
     assert (during, bench.message) == (
-        "NI clients drive the outputs", "test ended: a client has taken the output"
+        "driven by NI client generator", "test ended: a client has taken the output"
     )  # fmt: skip
 
 
@@ -306,6 +306,14 @@ def test_maximum_without_phase_drop_is_no_peak():
     bump = 0.1 + np.exp(-((f - 10.0) ** 2)) + 0j
     assert not live_peaks(f, bump, np.zeros(f.size))
     assert live_peaks(f, bump * np.exp(-2j * np.arctan(f - 10.0)), np.zeros(f.size))
+
+
+def test_peak_of_one_channel_alone_is_no_mode():
+    f = np.linspace(1.0, 20.0, 1901)
+    mode = 1.0 / (100.0 - f**2 + 2j * 0.02 * 10.0 * f)
+    other = np.full(f.size, 10.0 * np.abs(mode).max(), complex)
+    for rest, count in [(0.5 * mode, 1), (other, 0)]:
+        assert len(live_peaks(f, mode, np.zeros(f.size), np.array([mode, rest]))) == count
 
 
 @pytest.mark.parametrize("bench", ["sweep"], indirect=True)

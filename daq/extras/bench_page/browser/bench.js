@@ -18,7 +18,7 @@ function setText(name, content) {
 
 function fillTable(table, rows) {
   table.replaceChildren();
-  rows.forEach((cells, k) => { const row = make(table, "tr"); cells.forEach((cell) => make(row, k ? "td" : "th", cell.replace(/(^| |~)-(?=\d)/g, "$1−")).classList.toggle("uncertain", cell.startsWith("~"))); });
+  rows.forEach((cells, k) => { const row = make(table, "tr"); cells.forEach((cell) => make(row, k ? "td" : "th", cell.replace(/(^|\s|~)-(?=\d)/g, "$1−")).classList.toggle("uncertain", cell.startsWith("~"))); });
 }
 
 function send(name, value = null) {

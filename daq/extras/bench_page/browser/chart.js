@@ -7,7 +7,7 @@ const FEW = 6; // A curve with fewer points shows tones.
 const LEFT = 54, RIGHT = 8, TOP = 8, BOTTOM = 32, GAP = 13; // px
 
 class Chart {
-  // `x`: {name, log}; panels are {name, log, share, range, smallest, curves: [{x, y, color, dash, dots, arrows, width}]}.
+  // `x`: {name, log}; panels are {name, log, share, range, smallest, curves: [{x, y, color, dash, dots, mark, arrows, width}]}.
   constructor(canvas, x) {
     Object.assign(this, { canvas, x, panels: [], range: [1, 10], cursors: [] });
     new ResizeObserver(() => this.draw()).observe(canvas);
@@ -49,11 +49,6 @@ class Chart {
       top += height + GAP;
     }
     this.drawAbscissa(top - GAP);
-    if (this.hint && this.panels.every((panel) => !panel.curves.length)) {
-      context.font = "15px system-ui, sans-serif";
-      [context.textAlign, context.textBaseline] = ["center", "middle"];
-      wrappedLines(context, this.hint, this.width - LEFT - RIGHT - 16).forEach((row, k) => text(context, row, (LEFT + this.width - RIGHT) / 2, this.height / 3 + 20 * k));
-    }
     for (const [k, x] of this.cursors.entries()) this.drawCursor(x, "AB"[k], top - GAP);
   }
 
@@ -85,18 +80,19 @@ class Chart {
     context.translate(9, top + height / 2);
     context.rotate(-Math.PI / 2);
     context.textAlign = "center";
-    text(context, panel.name, 0, 0);
+    // The name of a low panel is its unit.
+    text(context, context.measureText(panel.name).width > height + GAP ? panel.name.split(" / ").at(-1) : panel.name, 0, 0);
     context.restore();
   }
 
-  drawCurve({ x, y, color, dash = [], width = 1.4, opacity = 1, dots = false, arrows = [] }, toPixel) {
+  drawCurve({ x, y, color, dash = [], width = 1.4, opacity = 1, dots = false, mark = 4, arrows = [] }, toPixel) {
     const { context } = this, isGap = (k) => k < 0 || k >= y.length || !isFinite(y[k]);
     context.strokeStyle = context.fillStyle = color;
     [context.lineWidth, context.globalAlpha] = [width, opacity];
     context.setLineDash(dash);
     context.beginPath();
     // The points of a few tones are larger than those among lines, and filled.
-    const isFew = y.filter((value) => isFinite(value)).length < FEW, r = isFew ? 4 : 1;
+    const isFew = y.filter((value) => isFinite(value)).length < FEW, r = isFew ? mark : 1;
     for (let k = 0; k < y.length; k++) {
       if (isGap(k)) continue;
       const px = this.position(x[k]), py = toPixel(y[k]);
@@ -161,14 +157,6 @@ function line(context, x0, y0, x1, y1, color, dash = []) {
   context.lineTo(x1, y1);
   context.stroke();
   context.setLineDash([]);
-}
-
-// The lines of a text, at most `width` px wide; a longer word is not broken.
-function wrappedLines(context, string, width) {
-  return string.split(" ").reduce((rows, word) => {
-    const longer = `${rows[rows.length - 1]} ${word}`;
-    return context.measureText(longer).width <= width ? [...rows.slice(0, -1), longer] : [...rows, word];
-  }, [""]).filter(Boolean).map((row) => row.trim());
 }
 
 function text(context, string, x, y) {

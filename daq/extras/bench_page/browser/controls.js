@@ -32,7 +32,7 @@ const controls = {
     $("form").addEventListener("submit", (event) => event.preventDefault());
     $("stop").addEventListener("click", () => (this.records ? send("record", false) : this.request("stop")));
     for (const name of ["start", "hit"]) $(name).addEventListener("click", () => this.request(name));
-    for (const name of ["clear", "overloads"]) $(name).addEventListener("click", () => send("clear"));
+    $("clear").addEventListener("click", () => send("clear"));
     $("record").addEventListener("change", () => send("record", $("record").checked));
     $("freeze").addEventListener("click", () => freeze());
     $("hit").hidden = $("hit-key").hidden = $("hit-panel").hidden = !hasHammer;
@@ -68,6 +68,7 @@ const controls = {
       if (document.activeElement !== field) field.value = state.settings[name] ?? "";
     }
     $("start").disabled = $("hit").disabled = state.running || state.is_driven_by_clients;
+    $("form").inert = !($("driven").hidden = !state.is_driven_by_clients);
     // NI clients end their tasks themselves; the operator can end the recording.
     this.records = !state.running && state.recording !== "";
     setText("stop", this.records ? "Stop recording" : "Stop");

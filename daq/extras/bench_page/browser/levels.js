@@ -19,7 +19,6 @@ const levels = {
     const scale = make($("levels"), "span");
     scale.className = "scale";
     for (const decibels of [FLOOR_DB, FLOOR_DB / 2, 0]) make(scale, "span", `${decibels}`.replace("-", "−"));
-    $("clear").addEventListener("click", () => this.rows.forEach((row) => { row.held = 0; }));
   },
 
   update({ state }) {
@@ -38,9 +37,10 @@ const levels = {
       const [time, reading] = overload, text = cause(channel, reading), [names, first] = causes.get(text) ?? [[], Infinity];
       causes.set(text, [[...names, channel.name], Math.min(first, time)]);
     });
-    // One line for each cause, with the time of its first overload.
-    const lines = [...causes].map(([text, [names, time]]) => `${names.join(", ")}: ${text} (${digits(time, 3)}\u00a0s)`);
-    setText("causes", [...lines, ...(lines.length ? ["Lower the level or extend the range."] : [])].join("\n"));
+    // Each cause has the time of its first overload.
+    const texts = [...causes].map(([text, [names, time]]) => `${names.join(", ")}: ${text} (${digits(time, 3)}\u00a0s)`);
+    $("alarm").hidden = !texts.length;
+    setText("causes", `Overload: ${texts.join("; ")}. Lower the level or extend the range.`);
   },
 };
 

@@ -50,11 +50,7 @@ const response = {
 
   // A text on the content of the chart, or on the reason why it is empty.
   note(state) {
-    const hint = state.running ? "" : "Start a test: the response of the structure grows here.";
-    if (this.chart.hint !== hint) {
-      this.chart.hint = hint;
-      this.chart.draw();
-    }
+    $("response").classList.toggle("empty", !state.running && !this.curves && !this.previous);
     const averages = this.head?.averages;
     const empty = state.hits.length ? (state.hits[0][4] ? "no accepted impact" : "after this impact") : state.running ? "after settling" : "start a test";
     this.details = state.details;
@@ -84,14 +80,16 @@ const response = {
     if (theory && $("theory").checked) {
       theory.rows.forEach((row, k) => magnitude.push({ x: theory.frequency, y: micro(row), color: this.channels[k].color, dash: [7, 4], width: 1, opacity: 0.6 }));
     }
-    for (const row of curves?.rows ?? []) {
-      const style = { x: curves.frequency, color: row.color, dots: true };
-      const certain = row.determined.map((each, k) => each && !row.relation[k]), angular = (row.angular = longRuns(certain, row.coherence)), only = (y, isShown) => y.map((value, k) => (isShown(k) ? value : NaN));
+    for (const [number, row] of (curves?.rows ?? []).entries()) {
+      // Large marks of tones are behind small marks.
+      const style = { x: curves.frequency, color: row.color, dots: true, mark: 3 + 1.5 * (curves.rows.length - 1 - number) };
+      const certain = row.determined.map((each, k) => each && !row.relation[k]), angular = (row.angular = longRuns(certain, RUN, row.coherence)), only = (y, isShown) => y.map((value, k) => (isShown(k) ? value : NaN));
       magnitude.push({ ...style, y: micro(row.magnitude), width: 0.9, opacity: 0.8, noisy: true });
       magnitude.push({ ...style, y: only(micro(row.magnitude), (k) => row.relation[k]), width: 1.6, dash: [5, 4] });
       magnitude.push({ ...style, y: only(micro(row.magnitude), (k) => certain[k]), width: 1.8 });
-      // The line is interrupted where the phase wraps.
-      phase.push({ ...style, y: only(row.phase, (k) => angular[k] && !(Math.abs(row.phase[k] - row.phase[k - 1]) > 180)), width: 1.6 });
+      // The line is interrupted where the phase wraps; a few lines between two such positions are no curve.
+      const drawn = longRuns(angular.map((each, k) => each && !(Math.abs(row.phase[k] - row.phase[k - 1]) > 180)), PIECE);
+      phase.push({ ...style, y: only(row.phase, (k) => drawn[k]), width: 1.6 });
       coherence.push({ ...style, y: row.coherence, width: 0.9, opacity: 0.8 }, { ...style, y: only(row.coherence, (k) => certain[k]) }, { ...style, y: only(row.coherence, (k) => row.relation[k]), dash: [5, 4] });
       // Arrows at the highest clipped point show on which sides of it the true value may be.
       const highest = row.magnitude.reduce((best, value, k) => (row.relation[k] && value > (row.magnitude[best] || 0) ? k : best), -1);
@@ -103,10 +101,10 @@ const response = {
     // The axis is logarithmic unless the band is narrow, as in figures and report.
     this.chart.x.log = range[1] >= 2 * range[0] && range[0] > 0;
     this.chart.show(range, [
-      { name: "|compliance| / (µm/N)", log: true, share: 3.6, curves: magnitude, range: [low, isClipped ? 2 * high : high] },
+      { name: "|compliance| / (µm/N)", log: true, share: 4.4, curves: magnitude, range: [low, isClipped ? 2 * high : high] },
       { name: "phase / °", range: [-345, 45], ticks: fixed([-270, -180, -90, 0]), curves: phase },
       // A single average has no coherence.
-      ...(curves?.rows.every((row) => row.coherence.every(isNaN)) ? [] : [{ name: "γ²", range: [0, 1.05], ticks: fixed([0, 0.5, 1]), share: 0.6, curves: coherence }]),
+      ...(curves?.rows.every((row) => row.coherence.every(isNaN)) ? [] : [{ name: "γ²", range: [0, 1.2], ticks: fixed([0, 0.5, 1]), share: 0.6, curves: coherence }]),
       ...(curves ? this.forcePanel(curves) : []),
     ]);
     this.describe();
@@ -135,19 +133,20 @@ const response = {
   // The value and the phase of a curve at a line; uncertain values have the sign ~, and no phase if none is drawn.
   cell({ magnitude, phase, relation, determined: certain, angular }, k) {
     const sign = RELATIONS[relation[k]] || (certain[k] || !isFinite(magnitude[k]) ? "" : "~");
-    return `${sign}${withUnit(magnitude[k], "m/N")}, ${angular[k] ? `${digits(phase[k], 3)}°` : "–"}`;
+    return `${sign}${withUnit(magnitude[k], "m/N")}\n${angular[k] ? `${digits(phase[k] < -180 ? phase[k] + 360 : phase[k], 3)}°` : "–"}`;
   },
 
   // The values at the cursors, and the peak list.
   describe() {
     const { curves } = this, cursors = this.chart.cursors.map((f) => [f, curves?.frequency.indexOf(f) ?? -1]);
-    const rows = cursors.flatMap(([f, k], number) => (k < 0 ? [] : [["AB"[number], `${digits(f, 5)} Hz`,
+    const columns = cursors.flatMap(([f, k], number) => (k < 0 ? [] : [["AB"[number], `${digits(f, 5)} Hz`,
       ...curves.rows.map((row) => this.cell(row, k))]]));
-    if (rows.length > 1) {
+    if (columns.length > 1) {
       const [[f, i], [g, k]] = cursors;
-      rows.push(["B − A", `${digits(g - f, 4)} Hz`, ...curves.rows.map((row) => `${row.determined[i] && row.determined[k] ? "" : "~"}${digits(20 * Math.log10(row.magnitude[k] / row.magnitude[i]), 3)} dB`)]);
+      columns.push(["B − A", `${digits(g - f, 4)} Hz`, ...curves.rows.map((row) => `${row.determined[i] && row.determined[k] ? "" : "~"}${digits(20 * Math.log10(row.magnitude[k] / row.magnitude[i]), 3)} dB`)]);
     }
-    fillTable($("cursors"), rows.length ? [["cursor", "frequency", ...curves.rows.map((row) => row.name)], ...rows] : [[curves ? CURSOR_HINT : ""]]);
+    const names = ["", "f", ...(curves?.rows ?? []).map((row) => row.name)];
+    fillTable($("cursors"), columns.length ? names.map((name, k) => [name, ...columns.map((column) => column[k])]) : [[CURSOR_HINT]]);
     const peaks = this.head?.peaks ?? [];
     if (!peaks.length) return $("peaks").replaceChildren();
     const uncertain = peaks.map((peak) => this.isUncertain(peak));
@@ -177,20 +176,21 @@ const COHERENT = 0.7;
 const LARGEST_STEP = 17;
 const AROUND = 40; // lines on either side
 const DECADES = 2.5;
-// Among other lines, the phase is shown in runs of at least RUN lines with this mean coherence: other runs are noise.
+// The phase is shown in runs of at least RUN lines with this mean coherence: other runs are noise.
 const COHERENT_PHASE = 0.9, RUN = 12;
+const PIECE = 4; // lines of the shortest drawn piece of a phase between two wraps
 
 // The force of the lines that NI clients excite: the largest rms.
 function clientForce({ force }) {
   return force.some(isFinite) ? `NI clients, ${digits(Math.max(...force.filter(isFinite)), 3)} N rms` : "";
 }
 
-// Remove runs of fewer than RUN lines or with a low coherence, unless there are no other runs, as with a few tones.
-function longRuns(values, coherence) {
-  const isCoherent = ([start, stop]) => !(coherence.slice(start, stop).reduce((sum, value) => sum + value, 0) < COHERENT_PHASE * (stop - start));
+// Remove runs of few lines or with a low coherence, unless there are no other runs, as with a few tones.
+function longRuns(values, fewest, coherence = null) {
+  const isCoherent = ([start, stop]) => !(coherence?.slice(start, stop).reduce((sum, value) => sum + value, 0) < COHERENT_PHASE * (stop - start));
   const starts = values.map((value, k) => (value ? k : -1)).filter((k) => k >= 0 && !values[k - 1]);
   const end = (start) => (values.indexOf(false, start) + values.length + 1) % (values.length + 1);
-  const runs = starts.map((start) => [start, end(start)]), long = runs.filter((run) => run[1] - run[0] >= RUN && isCoherent(run));
+  const runs = starts.map((start) => [start, end(start)]), long = runs.filter((run) => run[1] - run[0] >= fewest && isCoherent(run));
   return long.length ? values.map((_, k) => long.some(([start, stop]) => k >= start && k < stop)) : values;
 }
 

@@ -19,12 +19,9 @@ const bar = {
     $("progress").lastChild.textContent = progress == null ? "" : `${Math.floor(100 * progress)} %${remaining == null ? "" : `, ${Math.ceil(remaining)} s left`}`;
     setText("force", state.running ? levelText(state) : "");
     setText("lag", state.lag < 0.04 ? "" : `${Math.round(1000 * state.lag)} ms late`);
-    const overloads = Object.keys(state.overloads).length;
-    $("overloads").hidden = !overloads;
-    setText("overloads", `Clear ${overloads} overload${overloads > 1 ? "s" : ""}`);
     $("lag").classList.toggle("bad", state.lag >= 0.25);
     this.showRecording(state);
-    setText("outputs", state.outputs.join("\n") || "no outputs");
+    setText("outputs", state.outputs.join("\n"));
     setText("clients", state.clients.join("\n") || "no task of an NI client");
     setText("problem", state.problem);
     $("pulse").hidden = !arrays.pulse;
@@ -51,12 +48,11 @@ const bar = {
     if (shown === this.shownHits) return;
     this.shownHits = shown;
     $("hit-list").replaceChildren();
-    const names = (rows) => rows.map((row) => channels[row].name).join(", "), excluded = [];
+    const names = (rows) => rows.map((row) => channels[row].name).join(", ");
     for (const hit of hits) {
       const [number, peak, faults, accepted, complete, overloaded] = hit;
       const isClipped = overloaded.some((row) => channels[row].at === "hammer");
       const verdict = faults.map((fault) => (fault === "clipped" ? `${overloaded.length > 2 ? `${overloaded.length} channels` : names(overloaded)} clipped` : fault)).join(", ");
-      if (isJudged(hit) && !accepted) excluded.push(`Impact ${number} is not averaged${verdict ? `: ${verdict}` : ""}.`);
       const row = make($("hit-list"), "tr"), box = make(make(row, "td"), "input");
       Object.assign(box, { type: "checkbox", checked: accepted, disabled: !complete, title: "Use this impact for the response" });
       box.addEventListener("change", () => send("accept", [number, box.checked]));
@@ -65,7 +61,6 @@ const bar = {
       make(row, "td", isJudged(hit) ? (accepted ? "✓" : "✗") : "").className = accepted ? "" : "excluded";
       make(row, "td", verdict || (complete ? "good" : "measuring")).className = verdict ? "bound" : "";
     }
-    setText("excluded", excluded.length && hits[0][5].length ? `${excluded[0]} Hit softer, or extend the range.` : excluded[0] ?? "");
   },
 };
 
@@ -76,5 +71,5 @@ function isJudged([, , faults, , complete]) {
 
 // The level of the test, and the measured level as soon as it is known.
 function levelText({ target, level_kind: kind, force }) {
-  return `${digits(target, 3)} N ${kind}${force == null ? "" : `, measured ${digits(force, 3)} N`}`;
+  return `${digits(target, 3)} N ${kind}${force == null ? "" : `, measured ${digits(force, 3)} N (${force < target ? "−" : "+"}${Math.abs(100 * (force / target - 1)).toFixed(1)} %)`}`;
 }

@@ -52,7 +52,7 @@ function ticks(low, high, pixels, log, space = 44) {
   if (!log) {
     const step = roundUp((high - low) / Math.max(1, pixels / space));
     for (let k = Math.ceil(low / step - 1e-9); k * step <= high + 1e-9 * step; k++) made.push([Number((k * step).toPrecision(12)), true]);
-    return made;
+    return made.length > 1 ? made : [[low, true], [0.5 * (low + high), true], [high, true]];
   }
   const decades = Math.log10(high / low), labeled = decades > 2.5 ? [1] : decades > 1.2 ? [1, 2, 5] : decades > 0.9 ? [1, 2, 3, 5, 7] : [1, 2, 3, 4, 5, 6, 8];
   const every = Math.max(1, Math.ceil(space / 2.2 / (pixels / decades)));

@@ -36,6 +36,8 @@ html_js_files = [("site.js", {"defer": "defer"})]
 myst_enable_extensions = ["dollarmath", "colon_fence"]
 # Two hyphens of an option are not a dash.
 smartquotes = False
+# Names in docstrings are links.
+default_role = "py:obj"
 myst_heading_anchors = 3
 numpydoc_show_class_members = False
 numpydoc_xref_param_type = False
@@ -89,7 +91,8 @@ def write_reference() -> None:
 
     reference = SOURCE / "reference"
     reference.mkdir(parents=True, exist_ok=True)
-    indexed: set[int] = set()
+    # A name that two packages export has one entry in the index.
+    entries: dict[int, str] = {}
     for package in ("rig", "daq", "analysis"):
         module = import_module(package)
         lines = [f"# {package}: Python names", ""]
@@ -105,7 +108,8 @@ def write_reference() -> None:
             lines += [f"## {group}", "", "```{eval-rst}", f".. currentmodule:: {package}", ""]
             for name in names:
                 purpose = (getattr(module, name).__doc__ or "").strip().split("\n")[0]
-                lines.append(f"- :obj:`{package}.{name}`: {purpose}")
+                entry = entries.setdefault(id(getattr(module, name)), f"{package}.{name}")
+                lines.append(f"- :obj:`{package}.{name} <{entry}>`: {purpose}")
             lines.append("")
             for name in names:
                 member = getattr(module, name)
@@ -113,9 +117,7 @@ def write_reference() -> None:
                 # Common members of all results, settings and errors are not repeated at each of them.
                 if group != "Functions":
                     lines += ["   :members:", "   :inherited-members: Result, Settings, BaseModel, Exception"]
-                # A name that two packages export has one entry in the index.
-                lines += ["   :no-index:"] if id(member) in indexed else []
-                indexed.add(id(member))
+                lines += ["   :no-index:"] if entries[id(member)] != f"{package}.{name}" else []
                 lines.append("")
             lines += ["```", ""]
         (reference / f"{package}.md").write_text("\n".join(lines), encoding="utf-8")

@@ -35,6 +35,7 @@ PICTURES = {
         "daq replay OUT/hit.mcap --at 0.36 --screenshot OUT/replay.png",
         "replay.png",
     ),
+    "types.png": ("tests.type_picture OUT/types.png", "types.png"),
 }
 
 

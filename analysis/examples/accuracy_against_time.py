@@ -50,5 +50,5 @@ for count, error in zip(periods, errors, strict=True):
 axes = plt.subplots(layout="constrained")[1]
 axes.loglog(periods / 100.0, errors, "o-", label="measured")
 axes.loglog(periods / 100.0, errors[0] * np.sqrt(periods[0] / periods), "k:", label="1 / √duration")
-axes.set(xlabel="duration of the measurement / s", ylabel="relative error of the compliance")
-axes.legend()
+axes.set(xlabel="duration / s", ylabel="relative error of the compliance", title="tone of 100 Hz, 0.2 N")
+axes.figure.legend(loc="outside upper left", ncols=2)

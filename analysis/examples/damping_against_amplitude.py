@@ -36,7 +36,8 @@ for decay, color in zip(decays, colors, strict=True):
         axes.set(xlabel="", ylabel="ζ / %", ylim=(0.0, 8.0))
         axes.text(0.98, 0.75, f"mode {number + 1}", ha="right", transform=axes.transAxes)
 panels[-1].set(xlabel="amplitude / (m/s²)")
-panels[0].legend(loc="upper left")
+panels[0].set_title("impact test, 200 N")
+panels[0].figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper left", ncols=2)
 print(
     f"With dampers, the acceleration of body3 stays below 1 g from {decays[1].quiet_from:.2f} s on;\n"
     f"without dampers, from {decays[0].quiet_from:.2f} s on."

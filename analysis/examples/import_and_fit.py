@@ -50,5 +50,5 @@ axes.semilogy(frf.frequency, 1e6 * abs(frf.value), lw=4, alpha=0.35, label="impo
 order = np.argsort(compared.curves.frequency)
 shown = order[abs(compared.curves.frequency[order] - 32.5) < 27.5]
 axes.semilogy(compared.curves.frequency[shown], 1e6 * abs(compared.predicted[2, shown]), "--", label="fitted model")
-axes.set(xlabel="frequency / Hz", ylabel="compliance of body 3 / (µm/N)")
-axes.legend()
+axes.set(xlabel="frequency / Hz", ylabel="compliance of body 3 / (µm/N)", title="impact test without dampers, 200 N")
+axes.figure.legend(loc="outside upper left", ncols=2)

@@ -49,5 +49,6 @@ for name, scene in chains.items():
         f"{name}: reading / true value {abs(response[0]):.2f} at 0.2 Hz; compliance error {errors[name][0]:.1e} at 1 Hz"
     )
 above.set(ylabel="reading / true value", ylim=(1e-3, 2))
-above.legend()
+above.set_title("no damper, drive of 0.5 V")
+figure.legend(*above.get_legend_handles_labels(), loc="outside upper left", ncols=2)
 below.set(xlabel="frequency / Hz", ylabel="relative error")

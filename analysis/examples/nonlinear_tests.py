@@ -25,7 +25,7 @@ print(backbone)
 # %%
 # The response at a constant force of 1 N, measured from 51 Hz downward, and the exact orbits at this force. The figure
 # has the excitation frequency of phase resonance. Other modes contribute to its phase; the natural frequency printed
-# above is corrected for them, and is up to 0.1 Hz higher.
+# above is corrected for them, and is about 0.1 Hz higher at the highest level.
 band = (48.0, 51.0)
 curve_test = {"kind": "continuation", "from": band[1], "to": band[0], "at": "body 1", "force": 1.0}
 curve = analysis.continuation(daq.record(scene.replace(test=curve_test), "curve.mcap", overwrite=True))
@@ -38,8 +38,8 @@ for number, (branch, amplitude) in enumerate(zip(orbits.branches, amplitudes, st
     label = None if number else "exact orbits"
     axes.plot(branch.value, 1e3 * amplitude, "#777777", lw=0.9, zorder=1, label=label)
 axes.plot(curve.frequency, 1e3 * curve.amplitude, "s", color="#AA4499", ms=3.5, label="measured at 1 N")
-backbone.draw(axes, label="backbone (numbers: force in N)", color="black")
-axes.legend()
+backbone.draw(axes, label="backbone", color="black")
+axes.figure.legend(loc="outside upper left", ncols=3)
 exact = np.concatenate(amplitudes)
 exact_frequency = np.concatenate([branch.value for branch in orbits.branches])
 order = np.argsort(exact_frequency)

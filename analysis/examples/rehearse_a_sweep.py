@@ -39,10 +39,11 @@ for tolerance, response in frfs.items():
     exact = rig.frequency_response(scene, frf.frequency).compliance[2]
     error = abs(frf.value / exact - 1.0)
     errors[tolerance] = float(error.max())
-    axes.semilogy(frf.frequency, 100 * error, "o-", label=f"{tolerance}: {durations[tolerance]:.0f} s on the bench")
+    axes.semilogy(frf.frequency, 100 * error, "o-", label=f"{tolerance} ({durations[tolerance]:.0f} s)")
     print(f"transient up to {tolerance}: test of {durations[tolerance]:.0f} s, largest error {100 * error.max():.2g} %")
 axes.set(xlabel="frequency / Hz", ylabel="error of the compliance of body 3 / %")
-axes.legend(title="tolerance of the transient")
+axes.set_title("no damper, 2.6 N; legend: tolerance of the transient")
+axes.figure.legend(loc="outside upper left", ncols=3)
 
 # %%
 # The modes of the last recording, with their uncertainties.

@@ -174,7 +174,7 @@ def compliance(
     level: float | str | None = None,
     direction: str | None = None,
 ) -> Response:
-    """Short form of `analysis.frf` for one channel of one sweep: return its curve, X_j / F_1 or X_j / X_0.
+    """Short form of `analysis.frf` for one channel of one sweep: return its curve, per force or motion of the table.
 
     Parameters
     ----------

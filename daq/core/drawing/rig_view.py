@@ -167,9 +167,9 @@ class RigView:
             body for shaker in self.scene.shakers if shaker.glyph.shape == "arrow" for body in shaker.bodies
         ]
         for body in dict.fromkeys(forced_bodies):
-            yield from self._force_arrow(f"rig/body_{body}/drive", 0.045, "force", DRIVE)
+            yield from self._force_arrow(body, "drive", 0.045, "force", DRIVE)
         if self.scene.hammer is not None:
-            yield from self._force_arrow(f"rig/body_{self.scene.hammer}/hammer", -0.045, "hammer", HAMMER)
+            yield from self._force_arrow(self.scene.hammer, "hammer", -0.045, "hammer", HAMMER)
         yield from self._scale_marks()
 
     def _body(self, body: int) -> Iterator[tuple[str, rr.AsComponents]]:
@@ -240,12 +240,13 @@ class RigView:
         if table.has_coil_spring:
             yield table.entity("coil_spring"), coils([table.x], COIL_LENGTH, DRIVE)
 
-    @staticmethod
-    def _force_arrow(entity: str, x: float, text: str, color: Color) -> Iterator[tuple[str, rr.AsComponents]]:
+    def _force_arrow(
+        self, body: int, name: str, x: float, text: str, color: Color
+    ) -> Iterator[tuple[str, rr.AsComponents]]:
         """Draw an upward arrow with a text at the front of the underside of a body."""
-        foot = (x, -DEPTH / 2 - 0.02, -0.055)
+        foot, entity = (x, -DEPTH / 2 - 0.02, -0.055), f"rig/body_{body}/{name}"
         yield entity, arrow(foot, 0.055, color)
-        yield f"{entity}/name", label(foot, text, LABEL)
+        yield f"{entity}/name", label(foot, f"{text} on {self.scene.structure.label(body)}", LABEL)
 
     def _scale_marks(self) -> Iterator[tuple[str, rr.AsComponents]]:
         """Draw the rest positions of the bodies and, at the left, a scale bar with its length and the exaggeration."""

@@ -24,12 +24,15 @@ _SCATTER_PERCENTILE = 25
 _SCATTER_LINES = 25
 # The half-power width must contain at least this number of lines; a smaller width is determined by the resolution.
 _MIN_WIDTH_LINES = 3.0
-# The phase of the responses of all channels decreases by 90° through the half-power width of a resonance; with less
-# than this, a maximum is not a mode [rad]. Damper impacts cause maxima of single channels: in the scene
-# fig10b-three-dampers, the phase drops by at most 37° at these, and by at least 135° at modes.
-_MIN_PHASE_DROP = np.pi / 3.0
+# Through the half-power width of a resonance, the phase of each channel and of all channels together decreases by 90°;
+# with less than this, a maximum is not a mode [rad]. Damper impacts cause other maxima: in the scene
+# fig10b-three-dampers, the smaller of both decreases is at most 58° at these, and at least 134° at modes. In sweeps and
+# random tests of fig8-three-dampers, it is at least 80° at modes.
+_MIN_PHASE_DROP = np.radians(70.0)
 # A peak with a smaller coherence has no damping: the sweep is too fast for it, or it is noise.
 _MIN_COHERENCE = 0.7
+# Peaks below this fraction of the highest are not listed: damper impacts leave ripple there, which all impacts repeat.
+_SMALLEST_RATIO = 1e-3
 # Peaks belong to one resonance if their frequencies differ by less than this fraction; dampers split its peak.
 _SAME_PEAK = 0.08
 
@@ -63,7 +66,7 @@ def largest_peaks(curves: LiveCurves, count: int) -> list[LivePeak]:
     for peak in sorted(candidates, key=lambda peak: -peak.value):
         if all(abs(peak.frequency / other.frequency - 1.0) > _SAME_PEAK for other in largest):
             largest.append(peak)
-    return sorted(largest[:count])
+    return sorted(peak for peak in largest[:count] if peak.value > _SMALLEST_RATIO * largest[0].value)
 
 
 def live_peaks(
@@ -71,8 +74,8 @@ def live_peaks(
 ) -> list[LivePeak]:
     """Return the peaks of a curve, which may have gaps (NaN); `error`: relative standard uncertainty of each line.
 
-    A peak is listed if the phase of the `responses` of all channels (channels, lines; by default of this curve) passes
-    a resonance: their inner product from line to line weights each channel with its power.
+    A peak is listed if the phase of this curve and that of the `responses` of all channels (channels, lines; by default
+    this curve) pass a resonance: the inner product from line to line weights each channel with its power.
 
     The damping ratio is the half-power width over twice the frequency (Ewins, Modal Testing, 4.2); None if the width is
     not resolved or not measured on both sides.
@@ -84,6 +87,7 @@ def live_peaks(
     """
     peaks = []
     magnitude, scatter = np.abs(response), _scatter(response)
+    all_responses = response[None] if responses is None else responses
     bounded = np.where(np.isfinite(magnitude), magnitude, -np.inf)
     is_maximum = (bounded[1:-1] > bounded[:-2]) & (bounded[1:-1] >= bounded[2:])
     for k in (np.flatnonzero(is_maximum & np.isfinite(bounded[:-2]) & np.isfinite(bounded[2:])) + 1).tolist():
@@ -91,8 +95,11 @@ def live_peaks(
         if not _is_prominent(bounded, k, min(bounded[k] / _MIN_RATIO, bounded[k] - _MIN_SCATTERS * scatter[k])):
             continue
         if left is not None and right is not None:
-            inside = np.atleast_2d(response if responses is None else responses)[:, int(left) : int(np.ceil(right)) + 1]
-            if np.angle(np.nansum(inside[:, :-1] * inside[:, 1:].conj(), axis=0)).sum() < _MIN_PHASE_DROP:
+            inside = slice(int(left), int(np.ceil(right)) + 1)
+            if any(
+                np.angle(np.nansum(each[:, :-1] * each[:, 1:].conj(), axis=0)).sum() < _MIN_PHASE_DROP
+                for each in (response[None, inside], all_responses[:, inside])
+            ):
                 continue
         damping, expanded = None, 0.0
         if left is not None and right is not None and right - left >= _MIN_WIDTH_LINES:

@@ -81,7 +81,7 @@ class Chart {
     context.rotate(-Math.PI / 2);
     context.textAlign = "center";
     // The name of a low panel is its unit.
-    text(context, context.measureText(panel.name).width > height + GAP ? panel.name.split(" / ").at(-1) : panel.name, 0, 0);
+    text(context, context.measureText(panel.name).width > height + 2 * GAP ? panel.name.split(" / ").at(-1) : panel.name, 0, 0);
     context.restore();
   }
 

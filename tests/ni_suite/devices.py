@@ -50,7 +50,7 @@ def modules() -> list[Module]:
             TerminalConfiguration.NRSE,
             TerminalConfiguration.DIFFERENTIAL,
         ),
-        simultaneous=False,
+        aggregate_rate=100e6,
     )
     x_series = replace(
         general, product_type="PCIe-6363", category=_X_SERIES, bus=_PCIE, inputs=indices, outputs=indices[:4]

@@ -18,6 +18,8 @@ DRIVER_TEXTS: Mapping[int, str] = {
     "specified.",
     Code.INVALID_ATTRIBUTE_VALUE: "Requested value is not a supported value for this property. The property value may "
     "be invalid because it conflicts with another property.",
+    Code.SAMPLE_RATE_NUM_CHANS_CONVERT_PERIOD_COMBO: "Sample rate exceeds the maximum sample rate for the number of "
+    "channels specified.",
     Code.MIN_NOT_LESS_THAN_MAX: "Minimum is greater than or equal to the maximum.",
     Code.INVALID_TASK: "Task specified is invalid or does not exist.",
     Code.DUPLICATE_TASK: "Task name conflicts with an existing task name.",

@@ -34,9 +34,9 @@ _OWN_CLOCK = re.compile(r"|OnboardClock|.*/OnboardClock|/?([^/]+/)?(a[io]/)?Samp
 def check_timing(task: TaskSettings) -> None:
     """Check that the settings of channels and timing are complete and consistent.
 
-    Raises `DaqError` -201087 for channels that require a sample clock, -89136 for a clock that does not exist, -200077
-    for invalid rates and numbers of samples, -89121 for a signal that is exported to an invalid terminal, and the
-    errors of `Channel.check_complete`.
+    Raises `DaqError` -201087 for channels that require a sample clock, -89136 for a clock that does not exist, -200081
+    for a rate that is too high for the number of channels, -200077 for invalid rates and numbers of samples, -89121 for
+    a signal that is exported to an invalid terminal, and the errors of `Channel.check_complete`.
     """
     timing = task.groups["timing"]
     for direction, attribute, problem in (
@@ -69,6 +69,13 @@ def check_timing(task: TaskSettings) -> None:
                 f"the task's modules coerce {timing['samp_clk_rate']:g} S/s to different rates, "
                 f"{', '.join(f'{rate:g}' for rate in sorted(rates))} S/s. Use several tasks, or a rate "
                 "that all modules support."
+            )
+        if task.direction == "ai" and task.rate > task.max_rate * (1 + 1e-6):
+            raise DaqError(
+                f"the converter of {task.device_names[0]} converts one channel after the other, at "
+                f"{task.max_rate:g} S/s at most with {len(task.channels)} channels; {task.rate:g} S/s were requested. "
+                "Reduce the sample rate or the number of channels.",
+                Code.SAMPLE_RATE_NUM_CHANS_CONVERT_PERIOD_COMBO,
             )
         _ = task.samples_per_channel  # The property raises an error for fewer than 2 samples.
         if task.direction == "ai" and task.input_buffer_size < 1:
@@ -195,20 +202,23 @@ def input_plan(
     )
 
 
-def output_plan(task: TaskSettings, tick_rate: float, start: Source | None) -> tuple[OutputPlan, OtherTask | None]:
+def output_plan(task: TaskSettings, chassis: Chassis, start: Source | None) -> tuple[OutputPlan, OtherTask | None]:
     """Return the plan of a generation, and the start of the task whose sample clock it uses, if any.
 
-    An output on the sample clock of the inputs starts with the inputs. `tick_rate` is in ticks of the bench per second.
+    An output on the sample clock of the inputs starts with the inputs, and has their coerced rate.
     """
     if isinstance(start, AnalogSource):
         raise unsupported("an analog start trigger of an output", "Start the output by ai/StartTrigger.")
-    clock_task = None
-    if start is None and task.groups["timing"]["samp_clk_src"].lower().endswith("ai/sampleclock"):
-        start = clock_task = OtherTask("", "ai", reference=False)
+    clock_task, rate = None, task.rate
+    if task.groups["timing"]["samp_clk_src"].lower().endswith("ai/sampleclock"):
+        input_rates = [other.sample_rate for other in chassis.tasks.values() if other.sample_rate is not None]
+        rate = min(input_rates, key=lambda input_rate: abs(input_rate - rate), default=rate)
+        if start is None:
+            start = clock_task = OtherTask("", "ai", reference=False)
     plan = OutputPlan(
         bench_indices=tuple(channel.bench_index for channel in task.channels),
-        tick_rate=tick_rate,
-        per_tick=samples_per_tick(task.rate, tick_rate),
+        tick_rate=chassis.rate,
+        per_tick=samples_per_tick(rate, chassis.rate),
         samples=task.samples_per_channel if task.is_finite else None,
         regenerates=task.regenerates,
         start=start,

@@ -36,7 +36,7 @@ class TaskOutput:
             raise DaqError(
                 "the output has no samples. Write samples before starting the task.", Code.OUTPUT_BUFFER_EMPTY
             )
-        plan, clock_source = output_plan(self._settings, self._chassis.rate, start)
+        plan, clock_source = output_plan(self._settings, self._chassis, start)
         self.run = self._chassis.run_output(self._task, plan, self.buffer)
         self._is_running = self._has_played = True
         if clock_source is not None:

@@ -67,7 +67,7 @@ def set_value(task: Task, group: str, name: str, value: Any) -> None:
         divisor = coerce(name, value, 1.0)
         if divisor <= 0.0:
             raise invalid_value(f"{name} is {divisor:g}. Give a positive number.")
-        name, value = "samp_clk_rate", _module(task).timebase / divisor
+        name, value = "samp_clk_rate", _timebase(task) / divisor
     settings = task.settings.groups[group]
     value = coerce(name, value, settings[name])
     if name == "samp_clk_rate" and task.settings.channels:
@@ -171,6 +171,11 @@ def _module(task: Task) -> Module:
     return task.settings.channels[0].module
 
 
+def _timebase(task: Task) -> float:
+    """Return the frequency of the clock that the sample clock divides [Hz]."""
+    return _module(task).timebase_of(output=task.settings.direction == "ao")
+
+
 def _trigger_source(task: Task, name: str) -> str:
     """Return the source of a trigger, the setting `name`: the name of a channel, or the full name of a terminal."""
     source = str(task.settings.groups["trig"][name])
@@ -181,14 +186,14 @@ def _trigger_source(task: Task, name: str) -> str:
 # Properties that are computed when a script reads them, by group and NI's name.
 _COMPUTED: dict[tuple[str, str], Callable[[Task], Any]] = {
     ("timing", "samp_clk_rate"): lambda task: task.settings.rate,
-    ("timing", "samp_clk_max_rate"): lambda task: _module(task).rates.fastest,
+    ("timing", "samp_clk_max_rate"): lambda task: task.settings.max_rate,
     ("timing", "samp_clk_src"): lambda task: full_terminal(
         task, task.settings.groups["timing"]["samp_clk_src"] or f"{task.settings.direction}/SampleClockTimebase"
     ),
     ("timing", "samp_clk_term"): lambda task: full_terminal(task, f"{task.settings.direction}/SampleClock"),
     ("timing", "samp_quant_samp_per_chan"): lambda task: task.settings.samples_per_channel,
-    ("timing", "samp_clk_timebase_div"): lambda task: round(_module(task).timebase / task.settings.rate),
-    ("timing", "samp_clk_timebase_rate"): lambda task: _module(task).timebase,
+    ("timing", "samp_clk_timebase_div"): lambda task: round(_timebase(task) / task.settings.rate),
+    ("timing", "samp_clk_timebase_rate"): lambda task: _timebase(task),
     ("timing", "first_samp_timestamp_val"): partial(_seconds_of, event=TimestampEvent.FIRST_SAMPLE),
     ("trig", "start_trig_timestamp_val"): partial(_seconds_of, event=TimestampEvent.START_TRIGGER),
     ("trig", "ref_trig_timestamp_val"): partial(_seconds_of, event=TimestampEvent.REFERENCE_TRIGGER),

@@ -117,7 +117,9 @@ def _of_physical_channel(call: Call, name: str) -> Any:
     module.bench_index(port.direction, port.number)  # The lookup raises an error if the channel does not exist.
     attributes: dict[str, Any] = {
         "ai_supported_meas_types": SUPPORTED_TYPES,
-        "ai_term_cfgs": sum(TERMINAL_CONFIGURATION_BITS.get(value, 0) for value in module.terminal_configurations),
+        "ai_term_cfgs": sum(
+            TERMINAL_CONFIGURATION_BITS.get(value, 0) for value in module.terminal_configurations_at(port.number)
+        ),
         "ai_input_srcs": [port.name],
     }
     if port.direction == "ao":

@@ -42,6 +42,17 @@ _WIRE = re.compile(r"\s*(\S+)\s*->\s*(\S+)\s*")
 _NAME_IN_CHASSIS = re.compile(r"(.+)Mod(\d+)")
 # Lowest sample rate [Hz] of a device that is described by its numbers of channels; slower tests would take hours.
 _SLOWEST_HZ = 0.1
+# Timebases [Hz] of CompactDAQ chassis, and of M Series devices such as USB-6211.
+_CHASSIS_TIMEBASE_HZ, _USB_TIMEBASE_HZ = 80e6, 20e6
+# Number of slots by type of chassis.
+_SLOTS = {
+    **dict.fromkeys(("cDAQ-9171", "cDAQ-9181", "cDAQ-9191"), 1),
+    **dict.fromkeys(("cDAQ-9132", "cDAQ-9134", "cDAQ-9136", "cDAQ-9174", "cDAQ-9184", "cDAQ-9185"), 4),
+    **dict.fromkeys(
+        ("cDAQ-9133", "cDAQ-9135", "cDAQ-9137", "cDAQ-9138", "cDAQ-9172", "cDAQ-9178", "cDAQ-9188", "cDAQ-9189"), 8
+    ),
+    **dict.fromkeys(("cDAQ-9139", "cDAQ-9179"), 14),
+}
 
 
 class ModuleDescription(Settings):
@@ -53,8 +64,14 @@ class ModuleDescription(Settings):
     """Name on the bench, such as cDAQ1Mod1 or Dev1; None: as the driver assigns it."""
     family: Literal["c_series", "usb"] = "usb"
     """Whether it is a module in a chassis (c_series), or a separate device (usb, also for PCI and PXI)."""
+    timebase: Annotated[float, Quantity(FREQUENCY, above=0.0)] | None = None
+    """Clock that the sample clocks divide [Hz]; None: 80 MHz in a chassis, 20 MHz of a separate device."""
     inputs: Annotated[int, Field(ge=0, le=1000)] = 0
     """Number of analog inputs."""
+    terminals: tuple[Literal["rse", "nrse", "differential"], ...] = ("rse", "nrse", "differential")
+    """Terminal configurations of the inputs; the last is the default."""
+    aggregate: SampleRate | None = None
+    """Highest total sample rate of inputs that share a converter [Hz]; None: simultaneous inputs."""
     ranges: Annotated[float | tuple[float, ...], Quantity(VOLTAGE, above=0.0, listed=True)] = 10.0
     """Ranges of the inputs, ± V."""
     bits: Annotated[int, Field(ge=2, le=32)] = 16
@@ -91,6 +108,7 @@ class ModuleDescription(Settings):
                 device = with_outputs(device, sheet, sheet.outputs)
             counts = [0 if channels is None else channels.channels for channels in (sheet.inputs, sheet.outputs)]
         else:
+            timebase = self.timebase or (_CHASSIS_TIMEBASE_HZ if self.family == "c_series" else _USB_TIMEBASE_HZ)
             device = Module(
                 "",
                 self.product_type,
@@ -98,16 +116,16 @@ class ModuleDescription(Settings):
                 bus=COMPACT_DAQ_BUS if self.family == "c_series" else USB_BUS,
                 ranges=tuple(np.sort(np.atleast_1d(self.ranges)).tolist()),
                 bits=self.bits,
-                rates=Rates(_SLOWEST_HZ, self.fastest),
+                rates=Rates(_SLOWEST_HZ, self.fastest, timebase=timebase),
+                aggregate_rate=self.aggregate,
                 output_range=self.output_range,
                 output_bits=self.output_bits,
-                output_rates=Rates(_SLOWEST_HZ, self.output_fastest),
-                couplings=(Coupling.DC,),
-                terminal_configurations=(
-                    TerminalConfiguration.RSE,
-                    TerminalConfiguration.NRSE,
-                    TerminalConfiguration.DIFFERENTIAL,
+                # In a chassis, the timebase of outputs may be that of another module; their rates remain exact.
+                output_rates=Rates(
+                    _SLOWEST_HZ, self.output_fastest, timebase=None if self.family == "c_series" else timebase
                 ),
+                couplings=(Coupling.DC,),
+                terminal_configurations=tuple(TerminalConfiguration[name.upper()] for name in self.terminals),
                 currents=(),
                 teds=False,
             )
@@ -179,6 +197,11 @@ class BenchDescription(Settings):
     tasks: dict[str, SavedTask] = Field(default_factory=dict)
     """Saved tasks by name."""
 
+    def check_consistency(self) -> Iterable[Problem]:
+        """Check that the chassis is known."""
+        if self.chassis not in _SLOTS:
+            yield Problem(("chassis",), f"no chassis {self.chassis!r} is known. Choose {', '.join(sorted(_SLOTS))}")
+
     @classmethod
     def prepare(cls, content: Mapping[str, Any]) -> tuple[Mapping[str, Any], list[Problem]]:
         """Convert product types to descriptions of modules, and voltages to sources."""
@@ -239,6 +262,11 @@ def wired_bench(
     except ValidationError as error:
         raise SceneError(describe(problems_of(error), where, line)) from None
     modules = _named_modules(description)
+    slots = _SLOTS[description.chassis]
+    if surplus := next((device.name for device in modules if device.slot > slots), None):
+        raise SceneError(
+            f"{where}: modules: {surplus} is in no slot: {description.chassis} has {slots} slots. Remove it."
+        )
     names = [device.name.lower() for device in modules]
     if repeated := next((device.name for device in modules if names.count(device.name.lower()) > 1), None):
         raise SceneError(f"{where}: modules: {repeated!r} is the name of two devices. Give each device its own name.")

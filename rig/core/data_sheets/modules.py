@@ -22,7 +22,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from itertools import product
-from math import prod
+from math import ceil, floor, prod
 from typing import Any, Literal
 
 from rig.core.base.errors import SceneError
@@ -35,12 +35,18 @@ Conversion = Literal["delta_sigma", "sar", "r_2r"]
 
 @dataclass(frozen=True)
 class Rates:
-    """Sample rates that a module's clock can generate."""
+    """Sample rates that a module's clock can generate.
+
+    >>> Rates(0.1, 250e3, timebase=20e6).at_least(44100.0)  # 20 MHz / 453
+    44150.11037527594
+    """
 
     slowest: float  # Hz
     fastest: float  # Hz
     # all rates, ascending, if they are the clock divided by whole numbers; empty: any rate between
     available: tuple[float, ...] = ()
+    # frequency of the clock that any whole number divides, such as 20 MHz [Hz]; None: the rates are exact
+    timebase: float | None = None
 
     def at_least(self, rate: float) -> float:
         """Return the lowest available rate that is not below a request; raise `SceneError` if there is none."""
@@ -50,7 +56,11 @@ class Rates:
             raise SceneError(f"got {rate:g} Hz; expected {self.slowest:g} to {self.fastest:g} Hz")
         if self.available:
             return self.available[bisect_left(self.available, min_rate)]
-        return min(max(rate, self.slowest), self.fastest)
+        limited = min(max(rate, self.slowest), self.fastest)
+        if self.timebase is None:
+            return limited
+        # A quotient that is below a whole number by a rounding error is this number.
+        return self.timebase / max(floor(self.timebase / limited + 1e-6), ceil(self.timebase / self.fastest - 1e-6))
 
 
 @dataclass(frozen=True)

@@ -75,8 +75,8 @@ def test_log_after_overrun_is_complete(chassis, tmp_path):
             task.read(100)
         later = []
         for _ in range(5):
-            pass_samples(chassis, 100)
             later.append(task.read(100))
+            pass_samples(chassis, 100)
         task.stop()
     with daq.open(path) as recording:
         (gap,) = recording.gaps

@@ -3,11 +3,12 @@
 import queue
 import threading
 import time
+from contextlib import nullcontext
 
 import nidaqmx
 import numpy as np
 import pytest
-from nidaqmx.constants import AcquisitionType, Coupling
+from nidaqmx.constants import AcquisitionType, Coupling, TerminalConfiguration
 
 import rig
 from daq.extras.ni_device.errors import DaqError
@@ -248,6 +249,8 @@ def test_names_are_those_of_description(open_for_test):
         ({"modules": {"Dev1": 7}}, {}, r"modules\[1\].product_type: got 7"),
         ({"modules": {"Dev1": "USB-6001", "dev1": "USB-6002"}}, {}, "'Dev1' is the name of two devices"),
         ({"modules": {"mine": "NI 9234"}}, {}, "NI 9234 is in a chassis, which its name 'mine' does not state"),
+        ({"chassis": "cDAQ-9999", "modules": ["NI 9234"]}, {}, "chassis: no chassis 'cDAQ-9999' is known"),
+        ({"chassis": "cDAQ-9174", "modules": 5 * ["NI 9234"]}, {}, "cDAQ1Mod5 is in no slot: cDAQ-9174 has 4 slots"),
         ("bare-structure", {"wires": ["ao0 -> ai0"]}, "cannot be combined with a scene"),
         ("missing.yaml", {}, "missing.yaml: the file does not exist"),
         (42, {}, "expected a name, a path, a mapping or a rig.Scene"),
@@ -283,6 +286,99 @@ def test_separate_device_is_not_a_module(open_for_test):
     categories = {device.name: device.product_category for device in system.devices}
     assert categories["Dev1"] == nidaqmx.constants.ProductCategory.USBDAQ
     assert categories["cDAQ1Mod1"] == nidaqmx.constants.ProductCategory.C_SERIES_MODULE
+
+
+@pytest.mark.parametrize(
+    ("device", "request_hz", "timebase_hz", "divisor"),
+    [
+        ("NI 9215", 44100.0, 80e6, 1814),
+        ("USB-6211", 44100.0, 20e6, 453),
+        ("PCIe-6361", 33333.3, 100e6, 3000),
+        ("USB-6001", 7000.0, 80e6, 11428),
+    ],
+)
+def test_rate_divides_timebase(open_for_test, device, request_hz, timebase_hz, divisor):
+    with task_on(open_for_test({"modules": {"cDAQ1Mod1": device}})) as task:
+        task.ai_channels.add_ai_voltage_chan("cDAQ1Mod1/ai0")
+        task.timing.cfg_samp_clk_timing(request_hz, samps_per_chan=10)
+        assert task.timing.samp_clk_rate == timebase_hz / divisor
+        assert (task.timing.samp_clk_timebase_rate, task.timing.samp_clk_timebase_div) == (timebase_hz, divisor)
+        task.timing.samp_clk_rate = task.timing.samp_clk_rate
+        assert task.timing.samp_clk_rate == timebase_hz / divisor
+        assert len(task.read(10)) == 10
+
+
+def test_output_follows_clock_of_inputs(open_for_test):
+    bench = open_for_test(["NI 9215", "NI 9263"], wires=["ao0 -> ai0"])
+    with task_on(bench) as inputs, task_on(bench) as outputs:
+        inputs.ai_channels.add_ai_voltage_chan("cDAQ1Mod1/ai0")
+        outputs.ao_channels.add_ao_voltage_chan("cDAQ1Mod2/ao0")
+        inputs.timing.cfg_samp_clk_timing(44100.0, samps_per_chan=20_000)  # coerced to 80 MHz / 1814
+        outputs.timing.cfg_samp_clk_timing(44100.0, "/cDAQ1/ai/SampleClock", samps_per_chan=20_000)
+        volts = np.arange(20_000) * 1e-4
+        outputs.write(volts)
+        outputs.start()
+        assert np.array(inputs.read(20_000)) == pytest.approx(volts, abs=4e-4)  # 16 bits of ±10 V
+
+
+def test_output_rate_is_at_most_fastest(open_for_test):
+    with task_on(open_for_test(["PCIe-6361"])) as task:
+        task.ao_channels.add_ao_voltage_chan("Dev1/ao0")
+        task.timing.cfg_samp_clk_timing(2.86e6, samps_per_chan=10)
+        assert task.timing.samp_clk_rate == 100e6 / 35
+
+
+@pytest.mark.parametrize("device", ["USB-6211", "NI 9205"])
+def test_shared_converter_limits_rate(open_for_test, device):
+    bench = open_for_test({"modules": {"cDAQ1Mod1": device}})
+    properties = nidaqmx.system.System.remote(bench.grpc_options).devices["cDAQ1Mod1"]
+    assert (properties.ai_max_multi_chan_rate, properties.ai_simultaneous_sampling_supported) == (250e3, False)
+    for rate, fits in ((15625.0, True), (16000.0, False)):
+        with task_on(bench) as task:
+            task.ai_channels.add_ai_voltage_chan("cDAQ1Mod1/ai0:15", terminal_config=TerminalConfiguration.RSE)
+            task.timing.cfg_samp_clk_timing(rate, samps_per_chan=10)
+            assert task.timing.samp_clk_max_rate == 15625.0
+            with nullcontext() if fits else raises_code(-200081, "15625 S/s at most with 16 channels"):
+                task.start()
+
+
+@pytest.mark.parametrize(
+    ("device", "channel", "supported", "default"),
+    [
+        ("NI 9215", "ai0", {"DIFF"}, "DIFF"),
+        ("NI 9201", "ai0", {"RSE"}, "RSE"),
+        ("USB-6211", "ai7", {"RSE", "NRSE", "DIFF"}, "DIFF"),
+        ("USB-6211", "ai8", {"RSE", "NRSE"}, "NRSE"),
+        ("NI 9205", "ai16", {"RSE", "NRSE", "DIFF"}, "DIFF"),
+        ("USB-6001", "ai4", {"RSE"}, "RSE"),
+    ],
+)
+def test_terminal_configurations_are_those_of_input(open_for_test, device, channel, supported, default):
+    bench, name = open_for_test({"modules": {"cDAQ1Mod1": device}}), f"cDAQ1Mod1/{channel}"
+    for configuration in TerminalConfiguration:
+        is_supported = configuration.name in {*supported, "DEFAULT"}
+        with task_on(bench) as task, nullcontext() if is_supported else raises_code(-200077, configuration.name[:5]):
+            added = task.ai_channels.add_ai_voltage_chan(name, terminal_config=configuration)
+            if configuration == TerminalConfiguration.DEFAULT:
+                assert added.ai_term_cfg.name == default
+
+
+@pytest.mark.parametrize("device", ["NI 9215", "USB-6211"])
+def test_device_without_supply_rejects_excitation(open_for_test, device):
+    bench = open_for_test({"modules": {"cDAQ1Mod1": device}})
+    with task_on(bench) as task, raises_code(-200077, "does not support excitation INTERNAL. Choose EXTERNAL, NONE"):
+        task.ai_channels.add_ai_accel_chan("cDAQ1Mod1/ai0")
+
+
+def test_supply_current_is_coerced(open_for_test):
+    with task_on(open_for_test(["NI 9234"])) as task:
+        channel = task.ai_channels.add_ai_accel_chan("cDAQ1Mod1/ai0")  # NI's default of 4 mA
+        assert (channel.ai_excit_val, channel.ai_excit_actual_val) == (0.002, 0.002)
+
+
+def test_output_module_has_no_measurement(open_for_test):
+    with task_on(open_for_test()) as task, raises_code(-200431, "outputs only; choose Voltage"):
+        task.ao_channels.add_ao_current_chan("cDAQ1Mod2/ao0")
 
 
 def test_sleep_passes_bench_time_during_use(open_for_test):

@@ -58,7 +58,7 @@ class Module:
     output_bits: int | None = None  # resolution of the outputs; None if they are ideal
     rates: Rates = DEFAULT_RATES  # sample rates of the inputs
     output_rates: Rates = DEFAULT_RATES  # sample rates of the outputs
-    timebase: float = 13.1072e6  # frequency of the clock that the sample clocks divide [Hz]
+    timebase: float = 13.1072e6  # clock that the sample clocks divide, for rates without a timebase [Hz]
     scene_rate: float | None = None  # rate of a converter without a preset, S/s, accepted in addition to `rates`
     couplings: tuple[Coupling, ...] = (Coupling.AC, Coupling.DC)
     terminal_configurations: tuple[TerminalConfiguration, ...] = (TerminalConfiguration.PSEUDO_DIFFERENTIAL,)
@@ -67,7 +67,8 @@ class Module:
     on_demand: bool = True  # inputs can be read without a sample clock; delta-sigma modules require a clock
     output_on_demand: bool = True  # outputs can be written without a sample clock
     teds: bool = True  # reads the electronic data sheets of sensors
-    simultaneous: bool = True  # samples all inputs at the same time
+    # Highest total rate of inputs that share a converter, S/s; None: all inputs are sampled at the same time.
+    aggregate_rate: float | None = None
     chassis: str = ""  # name of the chassis; empty for a separate device
     slot: int = 0  # number of the slot; 0 for a separate device
     number: int = 0  # NI's product number; 0 if unknown
@@ -87,6 +88,29 @@ class Module:
             return (self.output_rates if output else self.rates).at_least(rate)
         except SceneError as error:
             raise invalid_value(f"sample clock rate of {self.product_type}: {error}") from None
+
+    def timebase_of(self, output: bool) -> float:
+        """Return the frequency of the clock that the sample clock of inputs or outputs divides [Hz]."""
+        return (self.output_rates if output else self.rates).timebase or self.timebase
+
+    def max_rate(self, count: int) -> float:
+        """Return the highest sample rate of `count` inputs, S/s.
+
+        A shared converter converts one input after the other. Above `aggregate_rate`, the driver warns that the inputs
+        do not settle (200011), and returns samples.
+        """
+        return self.rates.fastest if self.aggregate_rate is None else self.rates.fastest / count
+
+    def terminal_configurations_at(self, number: int) -> tuple[TerminalConfiguration, ...]:
+        """Return the terminal configurations of an input.
+
+        Where inputs have single ends too, an input and that 8 above it (4 above it, of 8 inputs) are the ends of a
+        differential input.
+        """
+        pair_distance = max(1, min(8, len(self.inputs) // 2))
+        if TerminalConfiguration.RSE not in self.terminal_configurations or number // pair_distance % 2 == 0:
+            return self.terminal_configurations
+        return tuple(value for value in self.terminal_configurations if value != TerminalConfiguration.DIFFERENTIAL)
 
     def range_for(self, limit: float) -> float:
         """Return the smallest range that includes a limit [V], infinite without limit; `DaqError` -200077 if none."""
@@ -113,9 +137,9 @@ class Module:
 
     def unsupported_measurement_error(self, where: str) -> DaqError:
         """Return the error for a measurement that the device does not support (-200431)."""
+        remedy = f"Choose {', '.join(MEASUREMENTS)}." if self.inputs else "It has outputs only; choose Voltage."
         return DaqError(
-            f"{where}: {self.product_type} does not support this measurement. Choose {', '.join(MEASUREMENTS)}.",
-            Code.PHYS_CHAN_MEAS_TYPE,
+            f"{where}: {self.product_type} does not support this measurement. {remedy}", Code.PHYS_CHAN_MEAS_TYPE
         )
 
     def channel_error(self, direction: str, number: int) -> DaqError:
@@ -158,9 +182,9 @@ class Module:
         if self.inputs:
             attributes |= {
                 "ai_max_single_chan_rate": self.rates.fastest,
-                "ai_max_multi_chan_rate": self.rates.fastest,
+                "ai_max_multi_chan_rate": self.aggregate_rate or self.rates.fastest,
                 "ai_min_rate": self.rates.slowest,
-                "ai_simultaneous_sampling_supported": self.simultaneous,
+                "ai_simultaneous_sampling_supported": self.aggregate_rate is None,
                 "ai_voltage_rngs": [sign * limit for limit in self.ranges for sign in (-1.0, 1.0)],
                 "ai_current_int_excit_discrete_vals": list(self.currents),
                 "ai_couplings": sum(_COUPLING_BITS[coupling] for coupling in self.couplings),

@@ -51,25 +51,21 @@ class Acquisition:
     the task since power-on. Sample numbers count the stored samples; sample 0 is the first after the start trigger.
 
     A reader that is late by more than the buffer loses the older samples, and continues with the oldest sample in the
-    buffer. The buffer is then full: without a reserve, a reader that pauses between its reads would lose samples again
-    at every read. The ring buffer therefore has twice the size. Its second half is used from an overflow until the
-    reader is less than half a buffer behind.
+    buffer. The buffer is then full, so a reader that pauses before its next read loses samples again.
 
     `tick_rate` is in ticks per second, `tick` the current tick, `dtype` the type of the converter's samples.
     """
 
     def __init__(self, plan: InputPlan, tick_rate: float, tick: int, dtype: Any) -> None:
         self.plan, self._per_tick = plan, samples_per_tick(plan.rate, tick_rate)
-        self.ring = RingBuffer(len(plan.bench_indices), 2 * plan.buffer_size, dtype)
-        self.overloads = RingBuffer(len(plan.bench_indices), 2 * plan.buffer_size, bool)  # overload flag of each sample
+        self.ring = RingBuffer(len(plan.bench_indices), plan.buffer_size, dtype)
+        self.overloads = RingBuffer(len(plan.bench_indices), plan.buffer_size, bool)  # overload flag of each sample
         self.position = 0  # read position: index of the sample that is read next
         self.first_instant: int | None = None  # start of the current record; None before the start trigger
         self.trigger_sample: int | None = None  # index of the sample at the reference trigger; None before the trigger
         self.done = False  # complete, or stopped (by `error`, if there is one)
         self.error: DaqError | None = None
         self.overloaded = np.zeros(len(plan.bench_indices), bool)  # overload flag of each channel since the last query
-        self._has_overflowed = False
-        self._loss_reported_up_to = 0  # the loss of samples before this number has been reported
         self._record_start = 0  # index of the first sample of the current record
         # Number and instant of the first sample of each record, in order of time.
         self._records: deque[tuple[int, int]] = deque(maxlen=1000)
@@ -104,26 +100,17 @@ class Acquisition:
         """Number of the sample after the last readable one; 0 until a reference trigger's record is complete."""
         return 0 if self.plan.reference is not None and not self.done else self.ring.written
 
-    @property
-    def oldest(self) -> int:
-        """Number of the oldest sample that has not been lost."""
-        return max(
-            self._loss_reported_up_to, self.ring.written - self.plan.buffer_size * (2 if self._has_overflowed else 1)
-        )
-
     def skip_lost(self) -> int:
         """Move the read position past samples that have been lost, and return their number."""
-        if not self.readable_end or self.position >= self.oldest:
+        if not self.readable_end or self.position >= self.ring.oldest:
             return 0
-        previous, self.position = self.position, max(0, self.ring.written - self.plan.buffer_size)
-        self._has_overflowed, self._loss_reported_up_to = True, self.position
+        previous, self.position = self.position, self.ring.oldest
         return self.position - previous
 
     def read_next(self, count: int) -> NDArray[Any]:
         """Read `count` available samples, shape (channels, count)."""
         samples = self.ring.read(self.position, count)
         self.position += count
-        self._has_overflowed &= self.ring.written - self.position > self.plan.buffer_size // 2
         return samples
 
     @property

@@ -226,7 +226,7 @@ class TaskLog:
             self._next = acquisition.first_readable
             if acquisition.trigger_sample is not None:
                 self._file.trigger(acquisition.trigger_sample - self._next)
-        oldest = acquisition.oldest
+        oldest = acquisition.ring.oldest
         if self._next < oldest:
             self._file.gap(oldest - self._next)
             self._next = oldest

@@ -198,16 +198,23 @@ class Channel:
                 "terminal configuration",
                 settings["ai_term_cfg"],
                 TerminalConfiguration,
-                (*self.module.terminal_configurations, TerminalConfiguration.DEFAULT),
+                (*self.module.terminal_configurations_at(self.port.number), TerminalConfiguration.DEFAULT),
             ),
             ("coupling", settings["ai_coupling"], Coupling, self.module.couplings),
+            (
+                "excitation",
+                settings["ai_excit_src"],
+                Excitation,
+                tuple(source for source in Excitation if self.module.currents or source != Excitation.INTERNAL),
+            ),
         )
         for setting, value, names, supported in choices:
             if value not in supported:
                 name = names(value).name if value in list(names) else value
                 choice = ", ".join(member.name for member in supported if member != TerminalConfiguration.DEFAULT)
                 raise invalid_value(
-                    f"channel {self.name}: {self.module.product_type} does not support {setting} {name}. "
+                    f"channel {self.name}: {self.port.name} of {self.module.product_type} does not support {setting} "
+                    f"{name}. "
                     f"Choose {choice}."
                 )
 
@@ -262,6 +269,14 @@ def _limit(channel: Channel, sign: float) -> float:
     return sign * channel.range / channel.volts_per_unit
 
 
+def _supply_current(channel: Channel) -> float:
+    """Return the current of the sensor's supply [A]; a module coerces a request, such as NI's default of 4 mA."""
+    requested = float(channel.settings["ai_excit_val"])
+    if channel.settings["ai_excit_src"] != Excitation.INTERNAL:
+        return requested
+    return min(channel.module.currents, key=lambda current: abs(current - requested))
+
+
 # Properties that are computed when a script reads them, by NI's names.
 _COMMON: dict[str, Any] = {"physical_chan_name": lambda channel: channel.port.name}
 _INPUT_COMPUTED: dict[str, Any] = _COMMON | {
@@ -273,7 +288,7 @@ _INPUT_COMPUTED: dict[str, Any] = _COMMON | {
     "ai_rng_high": lambda channel: channel.range,
     "ai_rng_low": lambda channel: -channel.range,
     "ai_term_cfg": lambda channel: int(
-        channel.module.terminal_configurations[-1]
+        channel.module.terminal_configurations_at(channel.port.number)[-1]
         if channel.settings["ai_term_cfg"] == TerminalConfiguration.DEFAULT
         else channel.settings["ai_term_cfg"]
     ),
@@ -281,7 +296,8 @@ _INPUT_COMPUTED: dict[str, Any] = _COMMON | {
     "ai_raw_samp_justification": lambda channel: _RIGHT_JUSTIFIED,
     "ai_resolution": lambda channel: float(channel.module.bits or 64),
     "ai_resolution_units": lambda channel: _BITS,
-    "ai_excit_actual_val": lambda channel: channel.settings["ai_excit_val"],
+    "ai_excit_val": lambda channel: _supply_current(channel),
+    "ai_excit_actual_val": lambda channel: _supply_current(channel),
     "ai_gain": lambda channel: 1.0,
 }
 _OUTPUT_COMPUTED: dict[str, Any] = _COMMON | {

@@ -62,6 +62,14 @@ class TaskSettings:
         return self.channels[0].module.coerced_rate(requested, output=self.direction == "ao")
 
     @property
+    def max_rate(self) -> float:
+        """Highest rate of the sample clock, S/s: that of the slowest device, or of the first device of outputs."""
+        modules = [channel.module for channel in self.channels]
+        if self.direction == "ao":
+            return modules[0].output_rates.fastest
+        return min((module.max_rate(modules.count(module)) for module in modules), default=math.inf)
+
+    @property
     def regenerates(self) -> bool:
         """Whether the output repeats its buffer."""
         return bool(self.groups["write"]["regen_mode"] == Regeneration.ALLOWED)

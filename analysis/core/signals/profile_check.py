@@ -134,9 +134,8 @@ class ProfileCheck(Result):
     @property
     def is_reduced(self) -> NDArray[np.bool_]:
         """Flags of the frequencies at which a limit keeps the control below the tolerance."""
-        limiting = [self.is_limited(level) for level in self.limited]
-        return np.asarray(np.any([np.zeros(self.frequency.size, dtype=bool), *limiting], axis=0)
-                          & (self.deviation < -self.tolerance))  # fmt: skip
+        is_limited = np.any([self.is_limited(level) for level in self.limited], axis=0)
+        return np.asarray(is_limited & (self.deviation < -self.tolerance))
 
     @property
     def is_outside(self) -> NDArray[np.bool_]:

@@ -229,9 +229,7 @@ class SweptSineProcedure(SweepProcedure["SweptSine"]):
     def noise_gain(self, test: SweptSine, frequency: Array) -> Array:
         """Return the ratio of amplitude to noise while the sweep stays within its resolution bandwidth."""
         # A sweep of the rate r (Hz/s) stays within its resolution bandwidth sqrt(r) for the time 1 / sqrt(r).
-        rate = np.full(frequency.size, abs(test.to - test.from_) / test.duration)
-        if test.spacing == "log":
-            rate = frequency * abs(np.log(test.to / test.from_)) / test.duration
+        rate = np.broadcast_to(abs(test.frequency_slope(frequency)), frequency.shape)
         return np.asarray(np.sqrt(1.0 / np.sqrt(rate) / 2.0))
 
 

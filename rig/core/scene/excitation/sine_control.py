@@ -59,4 +59,4 @@ class SineControl(ProfileControl, FrequencySweep):
 
     def rate_at(self, frequency: float) -> float:
         """Return the relative change of the frequency per second [1/s] at a frequency in Hz."""
-        return abs(self.frequency_slope(frequency)) / frequency
+        return float(abs(self.frequency_slope(frequency)) / frequency)

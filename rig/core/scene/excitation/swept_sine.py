@@ -68,11 +68,11 @@ class FrequencySweep(KindOfTest):
         log_ratio = np.log(self.to / self.from_)
         return np.asarray(self.duration * self.from_ * np.expm1(log_ratio * fractions) / log_ratio)
 
-    def frequency_slope(self, frequency: float) -> float:
-        """Return the change of the frequency per second, Hz/s, at a frequency in Hz."""
+    def frequency_slope(self, frequency: Any) -> Any:
+        """Return the change of the frequency per second, Hz/s, at a frequency in Hz, or several frequencies."""
         if self.spacing == "linear":
             return (self.to - self.from_) / self.duration
-        return float(frequency * np.log(self.to / self.from_) / self.duration)
+        return frequency * np.log(self.to / self.from_) / self.duration
 
     def wave(self, samples: int, rate: float) -> Chirp:
         """Return the tone at its instantaneous frequency; after the end of the sweep, its phase is constant."""

@@ -175,8 +175,8 @@ class RandomControlProcedure(NoiseProcedure["RandomControl"]):
     def check(self, test: RandomControl, scene: Scene, channels: Sequence[ChannelInfo]) -> Iterable[str]:
         """Report a spacing of lines that is too wide, limits that end early, and the levels before the full level."""
         yield from line_warnings(test, scene, channels)
-        levels = ", ".join(f"{level:g}" for level in test.ramp)
-        yield f"{test.duration:g} s at full level, after the identification and levels of {levels} dB"
+        levels = f" and levels of {', '.join(f'{level:g}' for level in test.ramp)} dB" * bool(test.ramp)
+        yield f"{test.duration:g} s at full level, after the identification{levels}"
 
     def waits(self, test: RandomControl, scene: Scene) -> float:
         """Return the expected time of the identification, and of the averages beyond the times of the levels [s]."""

@@ -129,6 +129,13 @@ def test_short_test_without_ramp_is_measured() -> None:
     assert not result.reason and result.fields_of("measure") and not result.fields_of("tolerance")
 
 
+def test_check_without_ramp_names_no_levels() -> None:
+    short = scene(ramp=[], duration="2 s")
+    assert [*PROCEDURE.check(short.test, short, Bench(short).channels)][-1] == (
+        "2 s at full level, after the identification"
+    )
+
+
 def test_too_high_profile_leaves_zero_drive() -> None:
     result = run(scene(shaker={"kind": "base", "output": {"range": "0.5 V"}}))
     assert "% of the drive samples are clipped by the output. Lower the profile" in result.reason

@@ -95,14 +95,15 @@ class KindOfTest(Settings):
 
     `recorded_as`: kind of evaluation of the recordings, a value of `daq.core.recording.recorded_test.TestKind`.
     `level_keys`: alternative keys for the level of the test. `level_name`: quantity of the level, as text after its
-    unit. `uses_shaker`: whether a shaker is driven. `single_tone`: whether the drive is one tone at a time.
-    `controls_by_cell`: whether the controller uses a force sensor at the shaker, if there is one, instead of the motion
-    of both ends of the spring.
+    unit. `kind_title`: name of the kind in sentences, if not that of its key. `uses_shaker`: whether a shaker is
+    driven. `single_tone`: whether the drive is one tone at a time. `controls_by_cell`: whether the controller uses a
+    force sensor at the shaker, if there is one, instead of the motion of both ends of the spring.
     """
 
     recorded_as: ClassVar[str]
     level_keys: ClassVar[tuple[str, ...]] = ("force", "drive")
     level_name: ClassVar[str] = ""
+    kind_title: ClassVar[str] = ""
     uses_shaker: ClassVar[bool] = True
     single_tone: ClassVar[bool] = False
     controls_by_cell: ClassVar[bool] = True
@@ -126,7 +127,7 @@ class KindOfTest(Settings):
     @property
     def title(self) -> str:
         """Name of the kind in sentences."""
-        return self.kind_name().replace("_", " ")
+        return self.kind_title or self.kind_name().replace("_", " ")
 
     def level_text(self, shaker: Shaker | None) -> str:
         """Return the level with its unit, or the range of the levels; `shaker`: the driven shaker."""

@@ -27,6 +27,7 @@ class RandomControl(ProfileControl, KindOfTest):
     kind: Literal["random_control"] = "random_control"
     recorded_as: ClassVar = "random"
     level_keys: ClassVar = ()
+    kind_title: ClassVar = "random"
     start: Start = "settled"
     profile: DensityProfile
     """Power spectral density of the control channels: keys frequencies and density."""
@@ -56,11 +57,6 @@ class RandomControl(ProfileControl, KindOfTest):
     """The test is aborted if more than this fraction of the lines exceeds the profile by more than `abort`, plus twice
     the scatter of the averaged densities."""
     shaker: DrivenShaker = None
-
-    @property
-    def title(self) -> str:
-        """Name of the kind in sentences."""
-        return "random"
 
     def level_text(self, shaker: Shaker | None) -> str:
         """Return the root mean square of the profile."""

@@ -17,6 +17,7 @@ class SineControl(ProfileControl, FrequencySweep):
 
     kind: Literal["sine_control"] = "sine_control"
     level_keys: ClassVar = ()
+    kind_title: ClassVar = "sine sweep"
     profile: MotionProfile
     """Amplitude of the control channels: keys frequencies, and acceleration, velocity or displacement."""
     control: Control
@@ -42,11 +43,6 @@ class SineControl(ProfileControl, FrequencySweep):
             message = f"the profile from {ends} does not contain the sweep. Give breakpoints at `from` and `to`."
             yield Problem(("profile", "frequencies"), message)
         yield from super().check_consistency()
-
-    @property
-    def title(self) -> str:
-        """Name of the kind in sentences."""
-        return "sine sweep"
 
     def level_text(self, shaker: Shaker | None) -> str:
         """Return the amplitudes of the profile."""

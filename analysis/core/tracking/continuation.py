@@ -202,13 +202,9 @@ class AmplitudeCurve(Result):
             points = complete_style(style, color=color, marker=marker, ms=4, ls="", elinewidth=0.7, zorder=3)
             x, y, bound = (column[part] for column in (self.frequency, 1e3 * self.amplitude, 1e3 * self.amplitude_own))
             ax.errorbar(x, y, bound, markerfacecolor=face, label=name, **points)
-        for level in dict.fromkeys(fold.level for fold in self.folds):
-            folds = [
-                (each.frequency, 1e3 * each.amplitude, each.expanded) for each in self.folds if each.level == level
-            ]
-            label = "_folds" if any(fold.level < level for fold in self.folds) else "fold"
-            x, y, bound = np.transpose(folds)
-            ax.errorbar(x, y, xerr=bound, fmt="x", color="black", zorder=4, label=label, ms=8, capsize=2)
+        if self.folds:
+            x, y, bound = np.transpose([(fold.frequency, 1e3 * fold.amplitude, fold.expanded) for fold in self.folds])
+            ax.errorbar(x, y, xerr=bound, fmt="x", color="black", zorder=4, label="fold", ms=8, capsize=2)
         ax.set(xlabel="excitation frequency / Hz", ylabel=f"amplitude of {self.body} / mm")
 
 

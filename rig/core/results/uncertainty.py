@@ -500,8 +500,10 @@ def coverage_factor(degrees_of_freedom: ArrayLike, confidence: float = 0.95) -> 
     [2.0, 3.18, 2.04, 2.0]
     """
     known = known_degrees(np.asarray(degrees_of_freedom, dtype=float))
-    factor = scipy.special.stdtrit(known, 0.5 + confidence / 2.0)
-    return np.where(known >= _MIN_NORMAL_DEGREES, COVERAGE_FACTOR, factor) if confidence == 0.95 else np.asarray(factor)
+    factor = np.full(known.shape, COVERAGE_FACTOR)
+    has_own_factor = (known < _MIN_NORMAL_DEGREES) | (confidence != 0.95)
+    scipy.special.stdtrit(known, 0.5 + confidence / 2.0, out=factor, where=has_own_factor)
+    return factor
 
 
 def circle_factor(confidence: float, degrees_of_freedom: Array) -> Array:

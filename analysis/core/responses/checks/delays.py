@@ -187,10 +187,10 @@ def _common_poles(frequency: Array, value: ComplexArray, error: Array) -> Comple
     """Return the poles of the modal model of curves with the smallest consistent model error [rad/s]."""
     magnitude = abs(value)
     equal_weight = np.ones(value.shape) / magnitude.max(axis=1, keepdims=True)
-    models = []
+    equal_chart, models = stabilization_diagram(frequency, value, equal_weight), []
     for model_error in _MODEL_ERRORS:
         weight = 1.0 / np.hypot(error, model_error * magnitude)
-        charts = [stabilization_diagram(frequency, value, each) for each in (equal_weight, weight)]
+        charts = [equal_chart, stabilization_diagram(frequency, value, weight)]
         limit = min(_MAX_CANDIDATES, (frequency.size - 2) // 2)
         stable, candidates = (poles[:limit] for poles in merge_charts(frequency, charts))
         curves = Curves(frequency, value, weight, has_model_error=True)

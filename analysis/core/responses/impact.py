@@ -38,16 +38,14 @@ def segment_fits(rec: Recording, channels: Sequence[str]) -> SegmentFits:
     )  # fmt: skip
 
 
-def averaged_spectra(
-    rec: Recording, channels: Sequence[str], block: float | None = None, window: str = "none"
-) -> AveragedSpectra:
+def averaged_spectra(rec: Recording, channels: Sequence[str], blocks: Blocks) -> AveragedSpectra:
     """Average the spectra of blocks, one for each impact, as most analyzers do.
 
-    `block`: length of a block in s; if omitted, the shortest time from an impact to the next impact, or to the end.
+    Default length of a block: the shortest time from an impact to the next impact, or to the end.
     """
     impacts = HammerImpacts.of(rec)
     begins = [begin for begin, _ in impacts.arrivals]
-    block_samples = impacts.interval if block is None else round(block * rec.rate)
+    block_samples = impacts.interval if blocks.block is None else round(blocks.block * rec.rate)
     pretrigger = min(block_samples // _BLOCK_PER_PRETRIGGER, begins[0])
     starts = [begin - pretrigger for begin in begins if begin - pretrigger + block_samples <= rec.samples]
     if block_samples < 16 or not starts:
@@ -55,7 +53,7 @@ def averaged_spectra(
             f"{rec.path}: block: got {block_samples / rec.rate:.3g} s; expected {16 / rec.rate:.3g} s (16 samples) to "
             f"{(rec.samples - begins[0]) / rec.rate:.4g} s (from the first impact to the end of the recording)"
         )
-    weights = sampled_window(window, block_samples)
+    weights = sampled_window(blocks.window or ESTIMATOR.window, block_samples)
     averaged = block_spectra(rec, channels, starts, block_samples, weights, 0.0, impacts.highest_frequency(rec))
     reasons = describe_flaws(rec, averaged.flaws) or "the recording ends"
     if not averaged.used:
@@ -86,6 +84,7 @@ def averaged_spectra(
             impacts, rec, channels, segments, _readings(rec, channels, segments), lines, FIT_HALF_WIDTH
         ),
         leakage_free=segment_fits(rec, channels) if has_leakage else None,
+        estimator=blocks.estimator or "H1",
     )
 
 
@@ -100,11 +99,9 @@ def _readings(
 
 def _compute(request: Request) -> list[Response]:
     """Estimate the response to all impacts, by local models or from averaged blocks."""
-    blocks = request.blocks
-    if blocks == Blocks():
-        return request.compute([segment_fits(request.rec, request.channels)])
-    averages = averaged_spectra(request.rec, request.channels, blocks.block, blocks.window or ESTIMATOR.window)
-    return request.compute([replace(averages, estimator=blocks.estimator or "H1")])
+    rec, channels, blocks = request.rec, request.channels, request.blocks
+    is_local = blocks == Blocks()
+    return request.compute([segment_fits(rec, channels) if is_local else averaged_spectra(rec, channels, blocks)])
 
 
 def _parts(request: Request) -> list[Parts]:

@@ -173,15 +173,10 @@ def input_location(rec: Recording, reference: str) -> str:
     return " and ".join(label(number) for number in rec.scene.force_on) if reference == "force" else ""
 
 
-def location_of(rec: Recording, channel: str) -> str:
-    """Return the name of the body on which a channel is mounted, or another location."""
-    return rec.scene.structure.label(rec.channels[channel].at)
-
-
 def output_point(rec: Recording, channel: str, motion: str) -> Point:
     """Return the output of responses of a channel, with the number of its body; 0 for any other location."""
     at = rec.channels[channel].at
-    return Point(channel, motion, location_of(rec, channel), body_number(at))
+    return Point(channel, motion, rec.scene.structure.label(at), body_number(at))
 
 
 def required_channels(rec: Recording, responses: Sequence[str], reference: str) -> list[str]:

@@ -38,7 +38,6 @@ from daq.core.recording.markers import Marker
 from daq.core.recording.recording import Recording
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import RecordingError
-from rig.core.base.progress import CountProgress
 from rig.core.results.response import Response
 
 NONLINEAR = (
@@ -63,27 +62,18 @@ _NOISE_RATIO = 3.0
 _MEAN_RATIO = 2e-3
 
 
-def best_linear_approximation(
-    rec: Recording,
-    markers: Sequence[Marker],
-    names: Sequence[str],
-    reference: str = "force",
-    progress: CountProgress | None = None,
-    forces: Sequence[str] = (),
-) -> Lines:
+def best_linear_approximation(request: Request) -> Lines:
     """Average the amplitudes of each channel over periods, then over realizations.
-
-    `markers`: measured interval of each experiment; `names`: channels; `reference`: force or table; `forces`: the
-    channels of several forces, instead of `reference`.
 
     Before the second average, each realization is rotated by the phase of its own reference, or separated into the
     amplitudes due to each input. The scatter between periods is noise. The scatter between realizations also contains
     nonlinear distortion [1]_.
     """
-    inputs = [force_of(name) for name in forces] or [reference_of(rec, reference)]
-    realizations, notes = _realizations(rec, names, markers, len(inputs))
-    if progress is not None:
-        progress(len(markers), len(markers))
+    rec, names, forces = request.rec, request.channels, [point.name for point in request.inputs]
+    inputs = [force_of(name) for name in forces] or [reference_of(rec, request.reference)]
+    realizations, notes = _realizations(rec, names, request.measured, len(inputs))
+    if request.progress is not None:
+        request.progress(len(request.measured), len(request.measured))
     complete = [spectra for realization in realizations for spectra in realization]
     if not complete:
         raise RecordingError(f"{rec.path}: no realization has two usable periods. {' '.join(notes)} Record again.")
@@ -134,7 +124,7 @@ def best_linear_approximation(
     if _is_distorted(with_distortion, noise_only):
         return replace(with_distortion, warnings=(*notes, NONLINEAR))
     if not rec.scene.is_linear:
-        of_force = reference if not forces else ""
+        of_force = request.reference if not forces else ""
         return replace(with_distortion, warnings=(*notes, _undistorted_warning(rec, with_distortion, of_force)))
     return with_distortion
 
@@ -282,10 +272,7 @@ def _is_distorted(measured: Lines, noise: Lines) -> bool:
 
 def _compute(request: Request) -> list[Response]:
     """Estimate the best linear approximation of all realizations."""
-    rec, measured, progress = request.rec, request.measured, request.progress
-    forces = [point.name for point in request.inputs]
-    lines = best_linear_approximation(rec, measured, request.channels, request.reference, progress, forces)
-    return request.compute([lines])
+    return request.compute([best_linear_approximation(request)])
 
 
 def _parts(request: Request) -> list[Parts]:

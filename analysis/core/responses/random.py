@@ -42,21 +42,14 @@ def segment_fits(rec: Recording, marker: Marker, channels: Sequence[str]) -> Seg
 
 
 def averaged_spectra(
-    rec: Recording,
-    marker: Marker,
-    channels: Sequence[str],
-    block: float | None = None,
-    overlap: float | None = None,
-    progress: CountProgress | None = None,
-    window: str | None = None,
+    rec: Recording, marker: Marker, channels: Sequence[str], blocks: Blocks, progress: CountProgress | None
 ) -> AveragedSpectra:
     """Average the spectra of a random test over blocks.
 
-    `block`: length of a block [s]; default: about 30 averages. `overlap`: overlap as a fraction of the block; default:
-    0.5. `window`: name of the window; default: "hann". All three are ignored for bursts: each burst is a block without
-    overlap or window.
+    Default of `blocks`: about 30 averages, overlap 0.5, window "hann". The options are ignored for bursts: each burst
+    is a block without overlap or window.
     """
-    overlap, window = 0.5 if overlap is None else overlap, window or ESTIMATOR.window
+    block, overlap = blocks.block, 0.5 if blocks.overlap is None else blocks.overlap
     if not 0.0 <= overlap < 1.0:
         raise SceneError(f"overlap: got {overlap:g}; expected 0 or more, below 1")
     if block is not None and not 0.0 < block < np.inf:
@@ -71,7 +64,7 @@ def averaged_spectra(
         block_s = block if block is not None else (stop - first) / rec.rate / (0.5 * DEFAULT_BLOCKS + 0.5)
         block_samples = round(block_s * rec.rate)
         step = max(1, round(block_samples * (1.0 - overlap)))
-        weights = sampled_window(window, max(block_samples, 1))
+        weights = sampled_window(blocks.window or ESTIMATOR.window, max(block_samples, 1))
     low, high = float(marker.fields["from"]), float(marker.fields["to"])
     unsettled = settling_flaws(rec, channels, first, stop, low)
     # The first block begins a whole number of steps later, when all channels have settled.
@@ -120,6 +113,7 @@ def averaged_spectra(
         warnings=tuple(notes),
         rounding_gain_error=np.repeat(rounding_gain_error[:, None], averaged.spectra.frequency.size, axis=1),
         leakage_free=segment_fits(rec, marker, channels) if has_leakage else None,
+        estimator=blocks.estimator or "H1",
     )
 
 
@@ -129,11 +123,7 @@ def _compute(request: Request) -> list[Response]:
     if blocks == Blocks():
         return request.compute(segment_fits(rec, marker, channels) for marker in request.measured)
     return request.compute(
-        replace(
-            averaged_spectra(rec, marker, channels, blocks.block, blocks.overlap, request.progress, blocks.window),
-            estimator=blocks.estimator or "H1",
-        )
-        for marker in request.measured
+        averaged_spectra(rec, marker, channels, blocks, request.progress) for marker in request.measured
     )
 
 

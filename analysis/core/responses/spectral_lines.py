@@ -66,9 +66,8 @@ class Lines:
     n_rotated: int = 1
     # maximum error of each mean due to rounding to counts; shape (channels, n)
     resolution: Array | None = None
-    # waits before the windows, and lengths of the windows of successive tones [s]; shape (n,)
-    wait: Array | None = None
-    duration: Array | None = None
+    # waits before the windows, and lengths of the windows of successive tones [s], each of shape (n,)
+    timing: tuple[Array, Array] | None = None
     inputs: tuple[str, ...] = ()  # channels of several inputs, in the order of the rows
 
     def frf(
@@ -112,8 +111,8 @@ class Lines:
             if bound is not None:
                 limits[name] = np.sum(abs(weights) * bound, axis=0)
                 reference_limits.append(np.sum(abs(reference_weights / f) * bound, axis=0))
-        if self.wait is not None and self.duration is not None:
-            free_vibration = ringing(value, self.frequency, self.wait, self.duration, error)
+        if self.timing is not None:
+            free_vibration = ringing(value, self.frequency, *self.timing, error)
             limits[UNSETTLED] = np.maximum(limits.get(UNSETTLED, 0.0), free_vibration)
         with np.errstate(invalid="ignore", divide="ignore"):
             averages = 1.0 + scatter.degrees_of_freedom / 2.0

@@ -272,8 +272,7 @@ def _sweep(
         resolution=_resolution(rec, channels, mean, np.stack([tone.noise for tone in tones], axis=1)),
         unsteady=np.array([not window.is_steady for window in measured]),
         omitted=np.array([window.frequency for window in windows if not window.tone]),
-        wait=wait if rec.scene.is_linear else None,
-        duration=np.diff(bounds)[:, 0] / rec.rate if rec.scene.is_linear else None,
+        timing=(wait, np.diff(bounds)[:, 0] / rec.rate) if rec.scene.is_linear else None,
     )
     return Sweep(lines, tones, *key, bounds)
 

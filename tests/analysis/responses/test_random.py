@@ -10,6 +10,7 @@ from scipy import signal
 import analysis
 import daq
 import rig
+from analysis.core.responses.estimator import Blocks, Request
 from analysis.core.responses.estimators import estimate
 from analysis.core.responses.measurands import motion_of, reference_of
 from analysis.core.responses.multisine import LIFTED, best_linear_approximation
@@ -171,7 +172,9 @@ def test_note_on_missing_periods_gives_the_reason(tmp_path):
 def test_linear_structure_shows_no_distortion(multisine_file):
     with daq.open(multisine_file) as rec:
         measured = [marker for marker in rec.markers if marker.kind == "measure"]
-        approximation = best_linear_approximation(rec, measured, list(rec.channels))
+        names = list(rec.channels)
+        request = Request(rec, names, "force", "displacement", Blocks(), None, names, measured)
+        approximation = best_linear_approximation(request)
         body_and_force = motion_of(rec, "body3"), reference_of(rec, "force")
         noise_alone = replace(approximation, scatter=approximation.noise, noise=None)
         noise, total = (np.median(each.frf(rec, *body_and_force).error) for each in (noise_alone, approximation))

@@ -113,9 +113,6 @@ class _Delay(NamedTuple):
     error: float  # of the delays after the change [s]
     reference: str  # channels that may have the opposite change instead
 
-    def describe(self) -> str:
-        return describe_delay(self.channel, self.change, self.time, self.reference)
-
 
 def sections(rec: Recording, channels: Collection[str], first: int, stop: int, low: float, high: float) -> Parts:
     """Return flawless sections of a random test between two samples; the sections of a long test have gaps."""
@@ -144,7 +141,7 @@ def change_warnings(rec: Recording, parts: Parts, channels: Sequence[str]) -> li
         # The responses determine the inputs; a late input differs from the other inputs.
         exchanged = _Compared.of(outputs, _components(y, len(inputs)), inputs, x, *test)
         delays = _select(delays, exchanged.delay_changes())
-    warnings = [delay.describe() for delay in delays]
+    warnings = [describe_delay(delay.channel, delay.change, delay.time, delay.reference) for delay in delays]
     # The delay of an input, or of a channel that may be an input, changes the relative gains of all outputs.
     if any(delay.reference or delay.channel in inputs for delay in delays):
         return warnings

@@ -60,7 +60,8 @@ class SharedErrors:
     @classmethod
     def of(cls, errors: MeanErrors | LocalErrors) -> SharedErrors:
         """Select all lines of the errors of one entry."""
-        return cls((errors,), np.arange(errors.n_lines), (np.ones(errors.n_lines, dtype=complex),))
+        n_lines = len(errors.residual)
+        return cls((errors,), np.arange(n_lines), (np.ones(n_lines, dtype=complex),))
 
     def at(self, lines: Lines) -> SharedErrors:
         """Return a copy with only the selected lines."""
@@ -109,12 +110,7 @@ class MeanErrors:
     # factor of the covariance of the channels' means, for all entries of a test; shape (rows, channels, lines)
     test: ComplexArray
     # deviation of the entry in independent directions, (lines, directions); their products give covariances
-    deviations: ComplexArray
-
-    @property
-    def n_lines(self) -> int:
-        """Number of lines of the test."""
-        return len(self.deviations)
+    residual: ComplexArray
 
     def has_same_readings(self, other: MeanErrors | LocalErrors) -> bool:
         """Return whether another entry is of the same test."""
@@ -127,8 +123,8 @@ class MeanErrors:
         entries: Sequence[MeanErrors], lines: NDArray[np.intp], factors: ComplexArray, error: Array, shared: float
     ) -> LineCovariance:
         """Compute the covariance over entries, scaled to the stated variances, which include neighboring lines."""
-        deviations = np.stack([entry.deviations[lines] for entry in entries], axis=1) * factors[:, :, None]
-        covariance = deviations @ deviations.conj().swapaxes(1, 2)
+        residual = np.stack([entry.residual[lines] for entry in entries], axis=1) * factors[:, :, None]
+        covariance = residual @ residual.conj().swapaxes(1, 2)
         return LineCovariance(_add_uncorrelated(_scale_to_variances(covariance, error)), shared)
 
 
@@ -148,11 +144,6 @@ class LocalErrors:
     # errors common to all lines, each with a real coefficient of variance 1; shape (lines, parts)
     common_error: ComplexArray
     shared: float = 1.0  # number of neighboring lines with a common error although they have no bins in common
-
-    @property
-    def n_lines(self) -> int:
-        """Number of lines of the fits."""
-        return len(self.first_bin)
 
     def has_same_readings(self, other: MeanErrors | LocalErrors) -> bool:
         """Return whether the fits to another entry use the same bins and the same reference."""

@@ -29,12 +29,20 @@ _MIN_DIVERGENCE_RATIO = 1.2
 _REST_PER_INTERVAL = 0.25
 
 
-def _remedy(deviations: Sequence[float]) -> str:
-    """Return the remedy for pulses with these deviations, in their order."""
+def _remedy(deviations: Sequence[float], is_coherent: bool) -> str:
+    """Return the remedy for pulses with these deviations, in their order.
+
+    `is_coherent`: whether the lines with sufficient coherence give a pulse within its tolerance.
+    """
     if deviations[-1] > _MIN_DIVERGENCE_RATIO * deviations[0]:
         return (
             "The deviation grows from pulse to pulse: the structure vibrates longer than test.interval. Give a longer "
             "interval."
+        )
+    if not is_coherent:
+        return (
+            f"Lines with a coherence below {MIN_COHERENCE:g} are missing in the pulse. Use a more sensitive sensor, a "
+            "smaller converter.range, a higher level, or a longer pulse."
         )
     return "Add practice pulses at higher levels (test.practice), or widen the tolerance."
 
@@ -76,11 +84,12 @@ class ShockProcedure(Procedure["Shock"]):
         [gain], [coherence] = yield from identify(station, [row], lines, period, required, np.full(1, np.inf), "shock")
         replication = Replication(pulse.target, lines, np.where(coherence >= MIN_COHERENCE, gain, 0.0))
         station.check_output(float(abs(replication.drive(1.0)).max()), "the pulse", pulse.remedy)
+        is_coherent = pulse.deviation(replication.known_part())[0] <= pulse.tolerance
         levels, n_practice = list(test.practice), max(_MAX_PRACTICE, len(test.practice))
         total, number, is_within, message, deviations = n_practice + test.repeats, 0, False, "", list[float]()
         while levels or not is_within:
             if number == n_practice:
-                raise AbortedTest(f"after {number} practice pulses {message}. {_remedy(deviations)}")
+                raise AbortedTest(f"after {number} practice pulses {message}. {_remedy(deviations, is_coherent)}")
             level = levels.pop(0) if levels else test.practice[-1]
             number += 1
             station.report(number / total, f"practice pulse {number} at {level:g} dB")
@@ -97,7 +106,7 @@ class ShockProcedure(Procedure["Shock"]):
                 outside.append(f"shock {number}: {message}")
         yield station.zero_drive(station.samples(_REST_PER_INTERVAL * test.interval))
         if outside:
-            station.warn(f"{'; '.join(outside)}. {_remedy(deviations)}")
+            station.warn(f"{'; '.join(outside)}. {_remedy(deviations, is_coherent)}")
 
     def waits(self, test: Shock, scene: Scene) -> float:
         """Return the expected time of the identification, and of the time without drive at the end [s]."""

@@ -71,6 +71,11 @@ def test_decrease_of_doubling_leaves_two_periods(periods: int, decaying: float) 
     assert of_motion(alternating(0.01, time) * (1.0 + decaying * np.exp(-2.0 * time / periods))) == 2
 
 
+def test_growing_doubling_is_irregular() -> None:
+    # Feedback held an orbit of one period at 17.3715 Hz while its doubled motion grew from 0.3 to 0.8 %.
+    assert of_motion(alternating(0.01) * np.exp(TIME / 20.0 - 1.0)) == 0
+
+
 @pytest.mark.parametrize("doubling", [0.0, 0.01])
 @pytest.mark.parametrize(("periods", "beat"), [(20, 60), (100, 25), (100, 50), (200, 400)])
 def test_beat_of_any_phase_is_irregular(periods: int, beat: int, doubling: float) -> None:

@@ -141,6 +141,12 @@ def test_practice_outside_tolerance_ends_test() -> None:
     assert "after 3 practice pulses the pulse deviates by" in result.reason and not result.fields_of("shock")
 
 
+def test_incoherent_lines_of_pulse_are_named() -> None:
+    # The springs isolate the unit from the upper lines, so practice does not reduce the deviation.
+    result = run(scene(control="unit", half_sine=HALF_SINE | {"tolerance": "5 %"}))
+    assert "Lines with a coherence below 0.9 are missing in the pulse." in result.reason
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from daq.extras.importing.channel_table import read_table
+from daq.extras.importing.channel_table import columns_of
 from daq.extras.ni_server.serve import Certificates
 from rig.core.base import input_files
 from rig.core.base.errors import SceneError
@@ -30,6 +30,6 @@ def test_pipe_or_device_is_rejected_without_waiting(tmp_path: Path) -> None:
     os.mkfifo(pipe)
     link_to_device.symlink_to("/dev/zero")
     for path in (pipe, link_to_device, tmp_path):
-        for read in (read_table, lambda path: Certificates(path, path).credentials()):
+        for read in (columns_of, lambda path: Certificates(path, path).credentials()):
             with pytest.raises(SceneError, match=f"cannot read {path}: not a regular file"):
                 read(path)

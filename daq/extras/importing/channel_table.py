@@ -2,7 +2,7 @@
 
 import csv
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -14,8 +14,8 @@ from rig.core.settings.quantities import SAMPLE_RATE, TIME, expected_quantity, p
 
 EXAMPLE = "body1: {column: ai0, unit: g, sign: -1}"
 PYTHON_EXAMPLE = '{"body1": {"column": "ai0", "unit": "g", "sign": -1}}'
-# Line number, name of the channel, and its keys.
-TableRows = list[tuple[int, str, Mapping[str, Any]]]
+# Place for messages, name of the channel, and its keys or its column.
+TableRows = list[tuple[str, str, Any]]
 
 
 @dataclass(frozen=True)
@@ -40,22 +40,23 @@ class Column:
 _KEYS = [field.name for field in fields(Column)]
 
 
-def read_table(path: Path) -> dict[str, Column]:
-    """Read a YAML or CSV table into a column for each channel name; raise one `SceneError` with all problems."""
-    try:
-        text = read_file(path).decode("utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise SceneError(
-            f"cannot read {path}: {getattr(error, 'strerror', None) or error}. Give a YAML or CSV file."
-        ) from None
-    rows = _from_csv(path, text) if path.suffix.lower() == ".csv" else _from_yaml(path, text)
-    if not rows:
-        raise SceneError(f"{path} names no channel; expected lines such as {EXAMPLE}")
-    return _columns((f"{path}:{line}", name, values) for line, name, values in rows)
+def columns_of(table: Any) -> dict[str, Column]:
+    """Return the column of each channel of a table, which is a mapping in Python, or a YAML or CSV file.
 
+    A channel's value in a mapping is a `Column`, a mapping with the keys of a line in a file, or the column alone.
+    Raises one `SceneError` with all problems.
 
-def _columns(rows: Iterable[tuple[str, str, Any]]) -> dict[str, Column]:
-    """Return the column of each row (place for messages, name of the channel, keys); raise one `SceneError`."""
+    >>> columns_of({"body1": {"column": "ai0", "unit": "g"}, "body2": 3})["body2"].column
+    '3'
+    """
+    if table is None:
+        return {}
+    if isinstance(table, str | Path):
+        rows = _rows_of_file(Path(table))
+    elif isinstance(table, Mapping):
+        rows = [("table", str(name), values) for name, values in table.items()]
+    else:
+        raise SceneError(f"table: got {table!r:.60}; expected a file or a mapping such as {PYTHON_EXAMPLE}")
     columns: dict[str, Column] = {}
     problems = []
     for place, name, values in rows:
@@ -70,26 +71,21 @@ def _columns(rows: Iterable[tuple[str, str, Any]]) -> dict[str, Column]:
     return columns
 
 
-def columns_of(table: Any) -> dict[str, Column]:
-    """Return the column of each channel of a table, which is a mapping in Python or a file.
-
-    A channel's value in a mapping is a `Column`, a mapping with the keys of a line in a file, or the column alone.
-    Raises `SceneError` with all problems.
-
-    >>> columns_of({"body1": {"column": "ai0", "unit": "g"}, "body2": 3})["body2"].column
-    '3'
-    """
-    if table is None:
-        return {}
-    if isinstance(table, str | Path):
-        return read_table(Path(table))
-    if not isinstance(table, Mapping):
-        raise SceneError(f"table: got {table!r:.60}; expected a file or a mapping such as {PYTHON_EXAMPLE}")
-    return _columns(("table", str(name), values) for name, values in table.items())
+def _rows_of_file(path: Path) -> TableRows:
+    try:
+        text = read_file(path).decode("utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        raise SceneError(
+            f"cannot read {path}: {getattr(error, 'strerror', None) or error}. Give a YAML or CSV file."
+        ) from None
+    rows = _from_csv(path, text) if path.suffix.lower() == ".csv" else _from_yaml(path, text)
+    if not rows:
+        raise SceneError(f"{path} names no channel; expected lines such as {EXAMPLE}")
+    return rows
 
 
 def _keys_of(values: Any) -> Mapping[str, Any]:
-    """Return the keys of a channel; its column may be stated alone."""
+    """Return the keys of a channel; its column may be stated alone, such as `body1: ai0`."""
     if isinstance(values, Mapping):
         return values
     if isinstance(values, bool) or not isinstance(values, str | int):
@@ -141,11 +137,7 @@ def _from_yaml(path: Path, text: str) -> TableRows:
     content = document.content if document.content is not None else {}
     if not isinstance(content, dict):
         raise SceneError(f"{path}: expected a line for each channel, such as {EXAMPLE}")
-    # A line may state the column alone: `body1: ai0`.
-    return [
-        (document.line((name,)), name, values if isinstance(values, dict) else {"column": values})
-        for name, values in content.items()
-    ]
+    return [(f"{path}:{document.line((name,))}", name, values) for name, values in content.items()]
 
 
 def _from_csv(path: Path, text: str) -> TableRows:
@@ -166,5 +158,5 @@ def _from_csv(path: Path, text: str) -> TableRows:
             )
         if any(cell.strip() for cell in line):
             values = dict(zip(column_names, line, strict=False))
-            rows.append((number, values.pop("channel").strip(), values))
+            rows.append((f"{path}:{number}", values.pop("channel").strip(), values))
     return rows

@@ -17,10 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq.extras.importing.clock import warn
-from rig.core.base.errors import RecordingError, RunError
+from rig.core.base.errors import RecordingError, RunError, ShotrigError
 from rig.core.numerics.memory import LIMIT_VARIABLE, PROGRAM_BYTES, memory_limit
 
-_H5PY_MISSING, _MEMORY_MISSING = "needs h5py", "needs more memory"
 # Key of the names of the items that are not read; no variable has an empty name.
 _UNREADABLE = ""
 # Between the name of an array and that of its attribute.
@@ -42,37 +41,27 @@ def matlab_arrays(path: Path) -> dict[str, Any]:
     """
     max_bytes = str(int(max(memory_limit() - PROGRAM_BYTES, memory_limit() / 2)))
     # The child gets the search path of this process: -m alone would search the current folder first.
-    program = [sys.executable, "-P", "-m", __name__, str(path.resolve()), max_bytes]
+    program = [sys.executable, "-P", "-m", __name__, str(path), max_bytes]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(str(Path(entry).absolute()) for entry in sys.path)}
     with subprocess.Popen(program, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, env=environment) as reader:
         assert reader.stdout is not None
         try:
-            content: dict[str, Any] | str = pickle.load(reader.stdout)
+            content: dict[str, Any] | ShotrigError = pickle.load(reader.stdout)
         except (EOFError, pickle.UnpicklingError):
             code = reader.wait()
             raise RecordingError(
                 f"{path} cannot be read: it is damaged, or the memory is exhausted (exit code {code}). Save it again, "
                 "or free memory."
             ) from None
-    if content == _H5PY_MISSING:
-        raise RunError(
-            f"{path} is an HDF5 file, as MATLAB writes from version 7.3 on, which needs the package h5py. Install it: "
-            "pip install 'shotrig[matlab]', or save the file in MATLAB with save(name, ..., '-v7')."
-        )
-    if content == _MEMORY_MISSING:
-        raise RecordingError(
-            f"{path}: importing it takes more than the {memory_limit() / 1e9:.3g} GB of memory that are allowed. Save "
-            f"the channels one by one, or as TDMS or WAV, or allow more: set {LIMIT_VARIABLE}=8GB in the environment."
-        )
-    if isinstance(content, str):
-        raise RecordingError(f"{path} {content}")
+    if isinstance(content, ShotrigError):
+        raise content
     if unreadable := content.pop(_UNREADABLE, None):
         warn(f"{path}: items of a type that is not read are omitted: {', '.join(unreadable):.200}")
     return content
 
 
-def _read_variables(file_name: str, max_bytes: int) -> dict[str, Any] | str:
-    """Return the variables of a file, or an error text; use at most `max_bytes` of memory."""
+def _read_variables(path: str, max_bytes: int) -> dict[str, Any] | ShotrigError:
+    """Return the variables of a file, or an error; use at most `max_bytes` of memory."""
     from scipy.io import loadmat
 
     with suppress(ImportError, ValueError, OSError):
@@ -83,12 +72,12 @@ def _read_variables(file_name: str, max_bytes: int) -> dict[str, Any] | str:
         resource.setrlimit(resource.RLIMIT_DATA, (max_bytes, hard))
     try:
         with suppress(NotImplementedError):
-            if file_name.lower().endswith(".mat"):
-                content = loadmat(file_name, squeeze_me=True, struct_as_record=True, chars_as_strings=True)
+            if path.lower().endswith(".mat"):
+                content = loadmat(path, squeeze_me=True, struct_as_record=True, chars_as_strings=True)
                 return {key: value for key, value in content.items() if key[:2] != "__"}
         import h5py
 
-        with h5py.File(file_name, "r") as file:
+        with h5py.File(path, "r") as file:
             hdf_reader = _HdfReader(file)
             # MATLAB stores the targets of references in cells and structures under names with #.
             variables = {key: hdf_reader.value(file[key]) for key in file if not key.startswith("#")}
@@ -96,14 +85,22 @@ def _read_variables(file_name: str, max_bytes: int) -> dict[str, Any] | str:
             stated = {key: value for key, value in file.attrs.items() if np.asarray(value).dtype.kind in "biufSU"}
             return {**stated, **_attributes(file), **variables, _UNREADABLE: hdf_reader.unreadable}
     except ImportError:
-        return _H5PY_MISSING
+        return RunError(
+            f"{path} is an HDF5 file, as MATLAB writes from version 7.3 on, which needs the package h5py. Install it: "
+            "pip install 'shotrig[matlab]', or save the file in MATLAB with save(name, ..., '-v7')."
+        )
     except MemoryError:
-        return _MEMORY_MISSING
+        return RecordingError(
+            f"{path}: importing it takes more than the {memory_limit() / 1e9:.3g} GB of memory that are allowed. Save "
+            f"the channels one by one, or as TDMS or WAV, or allow more: set {LIMIT_VARIABLE}=8GB in the environment."
+        )
     except RecordingError as error:
-        return str(error)
+        return RecordingError(f"{path} {error}")
     except Exception as error:
         # A damaged file can cause any exception in the reader.
-        return f"cannot be read as a MATLAB or HDF5 file ({type(error).__name__}: {error!s:.200}). Save it again."
+        return RecordingError(
+            f"{path} cannot be read as a MATLAB or HDF5 file ({type(error).__name__}: {error!s:.200}). Save it again."
+        )
 
 
 class _HdfReader:

@@ -117,33 +117,30 @@ def _signals(path: Path, content: Mapping[str, Any]) -> list[Signal]:
     for name, array in numbers.items():
         if array.size < _MIN_SAMPLES or array.ndim > 2 or (array.ndim == 2 and min(array.shape) > _MAX_CHANNELS):
             continue
-        where = f"{path}: {name!r}"
-        is_index = array.ndim == 1 and array.dtype.kind == "f" and _INDEX_NAMES.fullmatch(name)
-        is_time_index = is_index and looks_like_times(array[:_MIN_SAMPLES], float(array[-1]), array.size)
-        if array.ndim == 1 and not is_time_index and not _TIME_NAMES.fullmatch(name):
-            sample_arrays[name] = array
-            continue
-        require_memory_with_program(in_memory + _CLOCK_BYTES * max(array.shape), f"{path}: importing it")
-        if is_time_index and not _stated_unit(arrays, name):
-            warn_used_as_times(where, array[1] - array[0])
-        if array.ndim == 1:
-            times_in = f"{path}: the times in {name!r}"
+        where, times_in = f"{path}: {name!r}", f"{path}: the times in {name!r}"
+        # There are more samples than channels, in either orientation.
+        is_table = array.ndim == 2
+        rows = min(np.atleast_2d(array), np.atleast_2d(array).T, key=len)
+        first, unit = rows[0], "" if is_table else _stated_unit(arrays, name)
+        may_be_times = len(rows) > 1 if is_table else first.dtype.kind == "f" and _INDEX_NAMES.fullmatch(name)
+        is_named = not is_table and _TIME_NAMES.fullmatch(name) is not None
+        if may_be_times or is_named:
+            require_memory_with_program(in_memory + _CLOCK_BYTES * first.size, f"{path}: importing it")
+        is_rising = bool(may_be_times) and looks_like_times(first.astype(float), float(first[-1]), first.size)
+        has_times = is_named or is_rising
+        if has_times:
+            if is_rising and not unit:
+                column = f"{where}: its first row or column" if is_table else where
+                warn_used_as_times(column, float(first[1]) - float(first[0]))
             scale = 1.0
             try:
-                scale = time_scale(_stated_unit(arrays, name), times_in)
+                scale = time_scale(unit, times_in)
             except RecordingError as error:
                 warn(f"{error}. The times are read in s. If this is wrong, correct the unit.")
-            clocks[name] = clock_of_times(scale * array.astype(float), 0.0, times_in)
-            continue
-        # There are more samples than channels, in either orientation.
-        channel_rows = array if array.shape[0] <= array.shape[1] else array.T
-        times = channel_rows[0].astype(float)
-        has_times = len(channel_rows) > 1 and looks_like_times(times, float(times[-1]), times.size)
-        if has_times:
-            warn_used_as_times(f"{where}: its first row or column", times[1] - times[0])
-            clocks[f"{name}(1)"] = clock_of_times(times, 0.0, f"{path}: the times in {name!r}")
+            clocks[f"{name}(1)" if is_table else name] = clock_of_times(scale * first.astype(float), 0.0, times_in)
         sample_arrays |= {
-            f"{name}({number})": row for number, row in enumerate(channel_rows[int(has_times) :], 1 + has_times)
+            f"{name}({number})" if is_table else name: row
+            for number, row in enumerate(rows[int(has_times) :], 1 + has_times)
         }
     if not sample_arrays:
         listed = [f"{name} {array.shape}" for name, array in arrays.items() if ATTRIBUTE_MARK not in name]

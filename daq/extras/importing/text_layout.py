@@ -147,12 +147,14 @@ def detect_layout(path: Path, lines: list[str], encoding: str) -> Layout:
     """Return the layout of a table from its first lines; raise `RecordingError` if no line has only numbers."""
     for number, line in enumerate(lines):
         for delimiter in ("\t", ";", ",", None):
-            cells = split_cells(line, delimiter)
-            decimal_comma = any("," in cell for cell in cells)
+            cells = _split_pairs(line, delimiter)
             if len(cells) < (1 if delimiter is None else 2):
                 continue
+            parts = [complex_parts(cell) for cell in cells]
+            numbers = [*chain(*parts)]
+            decimal_comma = any("," in part for part in numbers)
             layout = Layout(encoding, delimiter, decimal_comma, number, [], [])
-            if _are_numbers(cells, decimal_comma):
+            if _are_numbers(numbers, decimal_comma):
                 if number:
                     _require_heading(path, number, lines[number - 1 : number + 2], layout, len(cells))
                 if any(map(_SCALE.fullmatch, lines[:number])) and all(map(_INTEGER.fullmatch, cells[1:])):
@@ -161,16 +163,11 @@ def detect_layout(path: Path, lines: list[str], encoding: str) -> Layout:
                         + GIVE_VALUE_OF_COUNT
                     )
                 _require_other_delimiter(path, lines[max(number - 1, 0) : number + _MAX_EXAMINED_ROWS], layout)
-                return _with_columns(layout, lines, cells)
-            if delimiter is not None and (numbers := _number_positions(lines[number:], layout)):
-                plain_cells = [cell if k in numbers else "" for k, cell in enumerate(cells)]
-                return _without_texts(path, _with_columns(layout, lines, plain_cells), cells, numbers)
-            complex_cells = _split_pairs(line, delimiter)
-            parts = [complex_parts(cell) for cell in complex_cells]
-            decimal_comma = any("," in part for part in chain(*parts))
-            if max(map(len, parts)) > 1 and _are_numbers([*chain(*parts)], decimal_comma):
-                layout = layout._replace(decimal_comma=decimal_comma)
-                return _with_complex_columns(_with_columns(layout, lines, complex_cells), parts)
+                layout = _with_columns(layout, lines, cells)
+                return _with_complex_columns(layout, parts) if len(numbers) > len(cells) else layout
+            if delimiter is not None and (positions := _number_positions(lines[number:], layout)):
+                plain_cells = [cell if k in positions else "" for k, cell in enumerate(cells)]
+                return _without_texts(path, _with_columns(layout, lines, plain_cells), cells, positions)
     raise RecordingError(
         f"{path}: no line of numbers among the first {len(lines)} lines. Export the data as a table of numbers."
     )
@@ -183,10 +180,11 @@ def _require_heading(path: Path, number: int, lines: Sequence[str], layout: Layo
     before other numbers.
     """
     cells, *below = (split_cells(line, layout.delimiter) for line in lines)
-    if len(cells) != count or count < 2 or not _is_number(cells[0], 0, layout.decimal_comma):
+    texts = [cell for k, cell in enumerate(cells) if _number_or_time(cell, k, layout.decimal_comma) is None]
+    if len(cells) != count or count < 2 or cells[0] in ("", *texts[:1]):
         return
-    texts = [cell for k, cell in enumerate(cells) if cell and not _is_number(cell, k, layout.decimal_comma)]
-    first, *times = (_number_or_time(row[0], layout.decimal_comma) for row in (cells, *below) if row)
+    values = (_number_or_time(row[0], 0, layout.decimal_comma) for row in (cells, *below) if row)
+    first, *times = (math.nan if value is None else value for value in values)
     is_row = sum(map(bool, cells)) > len(texts) + 1 or (
         len(times) == 2 and times[1] > times[0] and math.isclose(times[0] - first, times[1] - times[0], rel_tol=0.1)
     )
@@ -194,12 +192,6 @@ def _require_heading(path: Path, number: int, lines: Sequence[str], layout: Layo
         raise RecordingError(
             f"{path}, line {number}: {texts[0]!r:.40} is not a number. Correct the cell, or remove the line."
         )
-
-
-def _number_or_time(cell: str, decimal_comma: bool) -> float:
-    """Return a number, or a time of day in s; NaN for other cells."""
-    values = (parse_number(cell, decimal_comma), stamp_seconds(cell))
-    return next((value for value in values if value is not None), math.nan)
 
 
 def _require_other_delimiter(path: Path, lines: Sequence[str], layout: Layout) -> None:
@@ -239,7 +231,9 @@ def _number_positions(lines: Sequence[str], layout: Layout) -> set[int]:
     candidates: list[set[int]] = []
     for line in filter(str.strip, lines):
         row = split_cells(line, layout.delimiter)
-        numbers = {k for k, cell in enumerate(row) if _is_number(cell, k, layout.decimal_comma)}
+        numbers = {
+            k for k, cell in enumerate(row) if cell and _number_or_time(cell, k, layout.decimal_comma) is not None
+        }
         first_text = next((k for k, cell in enumerate(row) if cell and k not in numbers), len(row))
         last = max(numbers, default=0)
         adjacent = set(takewhile(numbers.__contains__, range(last, -1, -1)))
@@ -253,9 +247,10 @@ def _number_positions(lines: Sequence[str], layout: Layout) -> set[int]:
     return candidates[0] if candidates and len(lines) > 1 else set()
 
 
-def _is_number(cell: str, position: int, decimal_comma: bool) -> bool:
-    """Return whether a cell contains a number, or a time of day in one of the first two positions."""
-    return bool(cell) and _are_numbers([cell] if position > 1 else [cell, ""], decimal_comma)
+def _number_or_time(cell: str, position: int, decimal_comma: bool) -> float | None:
+    """Return a number, NaN for an empty cell, or a time of day [s] in one of the first two positions; else None."""
+    number = parse_number(cell, decimal_comma)
+    return stamp_seconds(cell) if number is None and position < 2 else number
 
 
 def _without_texts(path: Path, layout: Layout, cells: Sequence[str], numbers: Container[int]) -> Layout:
@@ -307,10 +302,8 @@ def _with_complex_columns(layout: Layout, parts: Sequence[Sequence[str]]) -> Lay
 
 def _are_numbers(cells: Sequence[str], decimal_comma: bool) -> bool:
     """Return whether cells are numbers or empty; one of the first two of several cells may be a time of day."""
-    values = [parse_number(cell, decimal_comma) for cell in cells]
-    for position in range(min(len(cells) - 1, 2)):
-        if values[position] is None:
-            values[position] = stamp_seconds(cells[position])
+    last = len(cells) - 1
+    values = [_number_or_time(cell, k if k < last else 2, decimal_comma) for k, cell in enumerate(cells)]
     # Empty cells are NaN; a line of empty cells alone has no numbers.
     return None not in values and any(value == value for value in values)
 
@@ -347,13 +340,9 @@ def _with_columns(layout: Layout, first_lines: Sequence[str], cells: Sequence[st
     is_omitted = bool(interval or is_empty or is_numbered_abscissa)
     if rate and _LINE_NUMBER.fullmatch(names[0]):
         # A force in N has such a name, too. The last line may be truncated.
-        numbers = [
-            parse_number(
-                "".join(split_cells(line, layout.delimiter)[first_cell : first_cell + 1]), layout.decimal_comma
-            )
-            for line in first_lines[layout.heading_lines : -1]
-            if line.strip()
-        ]
+        lines_of_numbers = filter(str.strip, first_lines[layout.heading_lines : -1])
+        rows = [split_cells(line, layout.delimiter) for line in lines_of_numbers]
+        numbers = [parse_number("".join(row[first_cell : first_cell + 1]), layout.decimal_comma) for row in rows]
         is_omitted |= all(before is not None and after == before + 1 for before, after in pairwise(numbers))
     if len(names) > 1 and is_omitted:
         first_cell, names, units = first_cell + 1, names[1:], units[1:]

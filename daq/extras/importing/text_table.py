@@ -3,7 +3,6 @@
 import re
 from collections.abc import Iterator
 from contextlib import ExitStack
-from dataclasses import replace
 from itertools import islice, pairwise, takewhile
 from pathlib import Path
 from tempfile import TemporaryFile
@@ -95,7 +94,8 @@ def text_signals(path: Path, _stack: ExitStack) -> list[Signal]:
     if first_data_column:
         numbered = [(k, (name, unit)) for k, (name, unit) in numbered if not table.repeats_times(k, name)]
     return [
-        table.signal(position, name, unit, column, clock) for position, (column, (name, unit)) in enumerate(numbered, 1)
+        Signal.from_array(path, position, name, unit, table.values[:, column], clock)
+        for position, (column, (name, unit)) in enumerate(numbered, 1)
     ]
 
 
@@ -182,20 +182,20 @@ def _labview_signals(path: Path, heading: LabviewHeading, stop: int | None, enco
             f"{path}: its sample interval has so few digits that the rate may be {rate - error:.6g} to "
             f"{rate + error:.6g} Hz; {rate:.6g} Hz is used. If this rate is wrong, give rate: in the channel table."
         )
-    signals = []
-    for position, channel in enumerate(channels, 1):
-        signal = table.signal(
+    return [
+        Signal.from_array(
+            path,
             position,
             channel.name,
             channel.unit,
-            position - 1 + has_times,
-            clock or Clock(channel.rate, channel.start_s),
             # Programs append lines without updating the counts in the header. The count of a channel is therefore used
             # only if another channel has a larger count.
-            table.rows if channel.samples in (-1, stated_samples) else min(channel.samples, table.rows),
+            table.values[: table.rows if channel.samples in (-1, stated_samples) else channel.samples, column],
+            clock or Clock(channel.rate, channel.start_s),
+            channel.start_ns,
         )
-        signals.append(replace(signal, start_ns=channel.start_ns))
-    return signals
+        for position, (column, channel) in enumerate(enumerate(channels, int(has_times)), 1)
+    ]
 
 
 class _InvalidLine(RecordingError):
@@ -311,12 +311,6 @@ class _Table:
             store.flush()
             seconds: Array = np.memmap(store, np.float64, "r") if self.rows else np.empty(0)
         return clock_of_times(seconds, resolution, where)
-
-    def signal(
-        self, position: int, name: str, unit: str, column: int, clock: Clock, samples: int | None = None
-    ) -> Signal:
-        """Return the signal of a column, counted from 0; `position` is the number of the signal, from 1."""
-        return Signal.from_array(self._path, position, name, unit, self.values[:samples, column], clock)
 
     def _lines(self, file: IO[str]) -> Iterator[tuple[int, str]]:
         """Yield the lines of numbers, each with its line number in the file, from 1."""

@@ -157,7 +157,7 @@ def _from_uff(path: Path, reference: str | None, unit: str | None) -> list[Respo
         raise SceneError(f"{path}: no reference {reference!r}. Choose one of {', '.join(references)[:300]}.")
     coherence, column_of = {}, {}
     for data_set in sets:
-        kind, points = int(data_set["func_type"]), (uff.point(data_set, "rsp"), uff.point(data_set, "ref"))
+        kind, points = int(data_set["func_type"]), _points(data_set)
         if kind == uff.COHERENCE:
             coherence[points] = np.asarray(data_set["data"]).real
         elif kind == GENERAL and uff.title(data_set).startswith((DEVIATION_LINE, BOUND_LINE)):
@@ -174,15 +174,17 @@ def _from_uff(path: Path, reference: str | None, unit: str | None) -> list[Respo
         numerator, denominator = uff.label(data_set, "ordinate"), uff.label(data_set, "orddenom")
         label = f"({numerator})/({denominator})" if numerator and denominator else numerator
         motion, scale = _ratio(f"{path}: {name}", unit or label)
-        points, id_line = (uff.point(data_set, "rsp"), uff.point(data_set, "ref")), str(data_set.get("id4") or "")
+        points = _points(data_set)
         stated = (column_of.get((points, f"{line} {uff.title(data_set)}")) for line in (DEVIATION_LINE, BOUND_LINE))
         error, bound = (None if column is None else scale * column for column in stated)
-        resolution = _stated_resolution(id_line)
+        resolution = uff.stated_number(data_set, RESOLUTION_LINE)
         curve = _curve(path, name, frequency, scale * data, motion, coherence.get(points), error, resolution, bound)
         # In files of this program, nodes are bodies.
-        places = [f"node {point}" for point in points]
-        if id_line.startswith(RESOLUTION_LINE):
-            places = [f"body {int(data_set[f'{end}_node'])}" for end in ("rsp", "ref")]
+        is_own = str(data_set.get("id4") or "").startswith(RESOLUTION_LINE)
+        places = [
+            f"body {int(data_set[f'{end}_node'])}" if is_own else f"node {point}"
+            for end, point in zip(("rsp", "ref"), points, strict=True)
+        ]
         curves.append(curve.placed(places[0], places[1]))
     if reference is None and is_roving:
         note = "Roving hammer: by reciprocity, the points of the forces are listed as points of the responses."
@@ -191,18 +193,9 @@ def _from_uff(path: Path, reference: str | None, unit: str | None) -> list[Respo
     return [curve.warn(warning) for curve in curves] if warning else curves
 
 
-def _stated_resolution(id_line: str) -> float | None:
-    """Read the stated resolution (noise bandwidth) [Hz] from a file of this program; None for other files.
-
-    >>> _stated_resolution("shotrig: resolution 0.5 Hz"), _stated_resolution("NONE")
-    (0.5, None)
-    """
-    match = re.fullmatch(rf"{RESOLUTION_LINE} (\S+) Hz", id_line.strip())
-    try:
-        width = float(match[1]) if match else np.nan
-    except ValueError:
-        return None
-    return width if 0.0 <= width < np.inf else None
+def _points(data_set: Mapping[str, Any]) -> tuple[str, str]:
+    """Return the points of response and force."""
+    return uff.point(data_set, "rsp"), uff.point(data_set, "ref")
 
 
 def _names(sets: Sequence[Mapping[str, Any]]) -> list[str]:
@@ -287,9 +280,10 @@ def _from_long_table(path: Path, unit: str | None) -> list[Response]:
     curves = []
     for (scene, name), numbers_of_curve in rows.items():
         frequency, real_part, imaginary_part, error, coherence, resolution, bound = np.array(numbers_of_curve).T
-        stated = float(resolution[0]) if 0.0 <= resolution[0] < np.inf else None
         value = scale * (real_part + 1j * imaginary_part)
-        curve = _curve(path, name, frequency, value, motion, coherence, scale * error, stated, scale * bound)
+        curve = _curve(
+            path, name, frequency, value, motion, coherence, scale * error, float(resolution[0]), scale * bound
+        )
         reference = inputs[scene, name]
         curves.append(curve.placed("", reference if reference != "force" else ""))
     return curves
@@ -421,7 +415,7 @@ def _curve(
 ) -> Response:
     """Build a curve from its valid lines in order of frequency; `bound`: systematic limit, infinite if unknown."""
     lines = _valid_lines(f"{path}: {name}", frequency, value)
-    if resolution is None:
+    if resolution is None or not 0.0 <= resolution < np.inf:
         steps = np.diff(frequency[lines])
         is_even = steps.size > 0 and np.ptp(steps) < _MAX_SPACING_SPREAD * steps.mean()
         resolution = _HANN_BANDWIDTH_LINES * float(steps.mean()) if is_even else 0.0

@@ -1,5 +1,6 @@
 """Functions (data sets 58 and 58b) of Universal Files, read with pyuff: time histories and frequency responses."""
 
+import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
@@ -144,7 +145,7 @@ def _signal(path: Path, number: int, name: str, data_set: Mapping[str, Any]) -> 
     where, scale = f"{path}: the times of {name!r}", _time_unit(data_set)
     if int(data_set["abscissa_spacing"]):
         interval = scale * float(data_set["abscissa_inc"])
-        rate = _stated_rate(data_set) or rate_of_interval(interval, _last_digit(interval) / 2, where)
+        rate = stated_number(data_set, "sample rate") or rate_of_interval(interval, _last_digit(interval) / 2, where)
         clock = Clock(rate, scale * float(data_set["abscissa_min"]))
     else:
         times = np.asarray(data_set["x"], dtype=float)
@@ -160,15 +161,17 @@ def _time_unit(data_set: Mapping[str, Any]) -> float:
         return 1.0
 
 
-def _stated_rate(data_set: Mapping[str, Any]) -> float | None:
-    """Return the exact sample rate [Hz] that `analysis export` writes in the fourth line; None without it."""
-    words = str(data_set.get("id4", "")).split()
-    if len(words) == 4 and words[:2] == ["sample", "rate"] and words[3] == "Hz":
-        try:
-            return float(words[2])
-        except ValueError:
-            return None
-    return None
+def stated_number(data_set: Mapping[str, Any], name: str) -> float | None:
+    """Return the quantity [Hz] that this program writes in the fourth line, such as the exact rate; None without it.
+
+    >>> stated_number({"id4": "sample rate 51200.0 Hz"}, "sample rate"), stated_number({"id4": "NONE"}, "sample rate")
+    (51200.0, None)
+    """
+    match = re.fullmatch(rf"{name} (\S+) Hz", str(data_set.get("id4") or "").strip())
+    try:
+        return float(match[1]) if match else None
+    except ValueError:
+        return None
 
 
 def _resolution(times: np.ndarray, data_set: Mapping[str, Any]) -> float:

@@ -246,7 +246,7 @@ def _draw(design: Design) -> Figure:
             figure,
             f"Design (computed): {headline(design)}",
             f"{design.scene.name}; largest peak at {levels} {design.question.level.unit} without and with dampers"
-            + "; the dampers have all the mass of the budget" * is_all,
+            + "; mass at the budget" * is_all,
         )
         return figure
 

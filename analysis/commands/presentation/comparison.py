@@ -55,8 +55,8 @@ _HEADING = (
 # Warning if the 95 % interval of a peak is unbounded.
 _UNBOUNDED_PEAKS = (
     "Some peaks may be higher than measured: the curve has only three points, or it jumps, ends or lacks points next "
-    "to its highest point. Measure there with a smaller frequency spacing, in both directions (test.direction: both) "
-    "and without overloads."
+    "to its highest point, or dampers start to move at the peak between its points. Measure there with a "
+    "smaller frequency spacing, in both directions (test.direction: both) and without overloads."
 )
 # Warning if the uncertainty of a peak is large.
 _UNDETERMINED_PEAKS = (

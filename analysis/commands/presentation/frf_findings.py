@@ -181,11 +181,23 @@ def _peaks_between_points(frf: Response) -> list[str]:
             f"highest point is at the end of the band, {frequency:.4g} Hz: the peak may be outside. Measure a wider "
             f"band"
         )
-    coarse = [r for r, _, _ in peaks if r.lines < MIN_LINES or np.isfinite(r.needed_spacing) or r in uncertain]
+    coarse = [
+        r
+        for r, p, _ in peaks
+        if not p.loading and (r.lines < MIN_LINES or np.isfinite(r.needed_spacing) or r in uncertain)
+    ]
     remarks += [
         f"the response jumps near {jump:.4g} Hz, next to its peak: compare sweeps up and down (test.direction: both)"
         for resonance in coarse
         for jump in _jumps_next_to(frf, resonance)
+    ]
+    remarks += [
+        f"the peak between {p.lowest_frequency:.4g} and {p.highest_frequency:.4g} Hz may be higher than measured: the "
+        f"points are linear motion, and its peak would be {p.loading:.2g} times the motion at which a damper or joint "
+        "acts (a bed: 1 g). "
+        f"{estimator_of(frf.test).peak_remedy(r.needed_spacing)}, or reduce the level {p.loading:.2g} times"
+        for r, p, _ in peaks
+        if p.loading
     ]
     unresolved = [resonance for resonance in coarse if not _jumps_next_to(frf, resonance)]
     return remarks + ([_spacing_remark(frf, unresolved)] if unresolved else [])

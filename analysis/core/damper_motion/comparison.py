@@ -66,6 +66,8 @@ class Peak:
         0.0  # largest relative error of the sample clock, included in `expanded` and in the limits of frequency
     )
     highest_point: float = inf  # magnitude of the highest measured point [m/N]; infinite if there is no interpolation
+    # `Response.loading` of the interpolated peak, if it exceeds 1 and the points do not: the peak is then undetermined
+    loading: float = 0.0
 
     bound = renamed("bound", "expanded")
     interpolation_bound = renamed("interpolation_bound", "interpolation_expanded")
@@ -190,6 +192,12 @@ def peak(frf: Response, band_low: float, band_high: float) -> Peak | None:
     curve_of_five = abs(1.0 / _interpolate(f[five_points], inverse_frf[five_points], grid))
     peak_index = int(np.argmax(curve))
     frequency, height = float(grid[peak_index]), float(curve[peak_index])
+    [loading] = in_band.loading_beyond(grid[[peak_index]], curve[[peak_index]])
+    if loading:
+        return Peak(
+            float(magnitude[highest]), inf, float(f[highest]), float(f[highest - 1]), float(f[highest + 1]),
+            tolerances=tolerances, clock=clock, loading=float(loading),
+        )  # fmt: skip
     sensitivity = _peak_sensitivity(f[three_points], inverse_frf[three_points], frequency)
     measured = _propagated_bounds(in_band.at(np.arange(f.size)[three_points]), sensitivity)
     leave_one_out_error = max(_leave_one_out_error(f, inverse_frf, random_bound / magnitude**2, highest), 0.0)
@@ -285,7 +293,7 @@ def _better(frf: Response, resonance: Resonance, estimate: Peak) -> Peak:
     # With few lines, dampers may move at the peak although they are at rest at the lines on both sides.
     is_known = resonance.is_interpolated and resonance.lines >= MIN_LINES
     is_known &= not is_next_to_omitted(frf, float(frf.frequency[resonance.line]))
-    if not is_known or estimate.own_expanded <= resonance.expanded:
+    if not is_known or estimate.loading or estimate.own_expanded <= resonance.expanded:
         return estimate
     return replace(
         estimate, value=resonance.value, own_expanded=resonance.expanded, frequency=resonance.frequency,

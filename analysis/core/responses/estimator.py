@@ -10,6 +10,8 @@ from dataclasses import dataclass, replace
 from importlib import import_module
 from typing import Protocol
 
+import numpy as np
+
 from analysis.core.responses.checks.channel_changes import Parts
 from analysis.core.responses.checks.curve_checks import reversed_force
 from analysis.core.responses.checks.delays import delayed_channels
@@ -29,6 +31,7 @@ from daq.core.recording.recording import Recording
 from rig.core.base.errors import RecordingError, SceneError
 from rig.core.base.progress import CountProgress
 from rig.core.results.response import Point, Response, stack
+from rig.core.system.open_loop_drive import linear_limits
 
 #: Module of the estimator of each kind of recording (`TestKind`).
 MODULES = {
@@ -114,7 +117,7 @@ class Request:
                     self.progress(n_completed, len(self.names))
             columns = [annotate(self.rec, column) for column in columns]
             response = stack([curve for row in zip(*columns, strict=True) for curve in row], len(references))
-            computed.append(check_matrix(response) if self.inputs else response)
+            computed.append(check_matrix(response) if self.inputs else _with_loading(self.rec, response))
         return computed
 
 
@@ -161,6 +164,17 @@ def annotate(rec: Recording, curves: Sequence[Response]) -> list[Response]:
     ]
     warnings = [text for text in (reversed_force(curves), delayed_channels(*_by_channel(rec, curves))) if text]
     return [curve.warn(*warnings) for curve in curves]
+
+
+def _with_loading(rec: Recording, response: Response) -> Response:
+    """Add the loading of the dampers by steady tones, from the body that moves most and the shape of linear motion."""
+    outputs = [k for k, point in enumerate(response.outputs) if point.body]
+    if response.amplitude is None or not outputs or rec.scene.is_linear or rec.scene.driven_shaker is None:
+        return response
+    limits = linear_limits(rec.scene, response.frequency)[[response.outputs[k].body - 1 for k in outputs]]
+    motion = response.amplitude * abs(response.to("displacement").value[:, outputs, 0]).T
+    best = limits.argmax(axis=0), np.arange(response.frequency.size)
+    return replace(response, loading=motion[best] / limits[best])
 
 
 def _by_channel(rec: Recording, curves: Sequence[Response]) -> tuple[list[Response], str]:

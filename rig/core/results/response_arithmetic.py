@@ -21,6 +21,8 @@ MAX_PEAK_UNCERTAINTY_RATIO = 0.5
 _MAX_STEP = 0.1
 # Number of intervals into which interpolated points divide the distance of two lines: the drawn curve looks smooth.
 _POINTS_BETWEEN = 16
+# Recommended spacing, relative to the spacing of lines between which dampers start to move.
+_FINER = 0.25
 # Minimum number of lines for interpolation by a model; fewer lines are joined by straight lines.
 _MIN_CONTINUED = 12
 
@@ -160,8 +162,17 @@ class ResponseArithmetic(ResponseValues):
             coherence=interpolate(ordered.coherence),
             unsteady=None if ordered.unsteady is None else interpolate(ordered.unsteady.astype(float)) > 0.0,
             amplitude=None if ordered.amplitude is None else interpolate(ordered.amplitude),
+            loading=None if ordered.loading is None else interpolate(ordered.loading),
         )
-        return result, np.min([curve.needed_spacing for curve in known], axis=0)
+        needed = [
+            np.where(
+                measured.loading_beyond(frequency, np.abs(curve.value)) > 0.0,
+                _FINER * curve.spacing,
+                curve.needed_spacing,
+            )
+            for measured, curve in zip(ordered.curves(), known, strict=True)
+        ]
+        return result, np.min(needed, axis=0)
 
     def continued(self, is_shown: NDArray[np.bool_]) -> tuple[Array, ComplexArray]:
         """Return frequencies and values of the interpolated curve through the lines of an ordered curve, to draw it.

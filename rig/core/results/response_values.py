@@ -19,6 +19,9 @@ from rig.core.results.result import Result
 from rig.core.results.uncertainty import Covariance, UncertaintyBudget, coverage_factor, stack_budgets
 from rig.core.settings.quantities import FREQUENCY, number
 
+# A value between lines that exceeds both neighboring lines by at most this fraction counts as measured.
+_MAX_EXCESS = 0.01
+
 
 @dataclass(frozen=True, repr=False, eq=False)
 class ResponseValues(Result):
@@ -32,6 +35,7 @@ class ResponseValues(Result):
     coherence: Array = None  # type: ignore[assignment]  # omitted: NaN
     unsteady: NDArray[np.bool_] | None = None
     amplitude: Array | None = None
+    loading: Array | None = None
     omitted: Array = field(default_factory=lambda: np.empty(0))
     resolution: float = 0.0
     label: str = ""
@@ -283,6 +287,22 @@ class ResponseValues(Result):
         """Order the lines by increasing frequency."""
         return self.at(np.argsort(self.frequency, kind="stable"))
 
+    def loading_beyond(self, frequency: Array, magnitude: Array) -> Array:
+        """Return the `loading` at values between the lines of an ordered curve, where a damper starts to move there.
+
+        The lines do not determine such a value: it is higher than both neighboring lines, and was interpolated from
+        linear motion. Elsewhere 0.
+        """
+        if self.loading is None:
+            return np.zeros(frequency.size)
+        above = np.clip(np.searchsorted(self.frequency, frequency), 1, self.frequency.size - 1)
+        neighbors = np.stack([above - 1, above])
+        with np.errstate(divide="ignore", invalid="ignore"):
+            loading = magnitude * np.interp(frequency, self.frequency, self.loading / abs(self.value))
+        is_linear = self.loading[neighbors].min(axis=0) < 1.0
+        is_higher = magnitude > (1.0 + _MAX_EXCESS) * abs(self.value[neighbors]).max(axis=0)
+        return np.where((loading > 1.0) & is_linear & is_higher, loading, 0.0)
+
     def with_gaps(self) -> Self:
         """Order the lines by increasing frequency; add NaN at omitted frequencies, which interrupts a drawn curve."""
         curve = self.sorted()
@@ -300,6 +320,7 @@ class ResponseValues(Result):
             coherence=insert(curve.coherence),
             unsteady=None if curve.unsteady is None else insert(curve.unsteady, False),
             amplitude=None if curve.amplitude is None else insert(curve.amplitude),
+            loading=None if curve.loading is None else insert(curve.loading),
         )
 
     def band(self, low: float | str, high: float | str) -> Self:
@@ -332,6 +353,7 @@ class ResponseValues(Result):
             coherence=self.coherence[lines],
             unsteady=None if self.unsteady is None else self.unsteady[lines],
             amplitude=None if self.amplitude is None else self.amplitude[lines],
+            loading=None if self.loading is None else self.loading[lines],
         )
 
     def with_limits(self, limits: Mapping[str, Array]) -> Self:
@@ -402,4 +424,5 @@ def _with_added_lines(curve: ValuesT, lines: Array) -> ValuesT:
         coherence=fill_added_lines(curve.coherence),
         unsteady=None if curve.unsteady is None else fill_added_lines(curve.unsteady, False),
         amplitude=None if curve.amplitude is None else fill_added_lines(curve.amplitude),
+        loading=None if curve.loading is None else fill_added_lines(curve.loading),
     )

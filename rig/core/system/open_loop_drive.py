@@ -119,6 +119,24 @@ def accelerations_per_level(scene: Scene, system: HybridSystem, omega: float | A
     return omega**2 * np.abs(response[: scene.structure.bodies])
 
 
+def linear_limits(scene: Scene, frequency: Array) -> Array:
+    """Return the amplitudes of the bodies at which linear motion ends [m], shape (bodies, frequencies).
+
+    At these amplitudes, a bed reaches 1 g, a mass on a spring its wall, friction its limit, or the first joint closes
+    or slips. A bed on a compliant floor moves more than its body. `frequency`: Hz.
+    """
+    system, omega = assemble(scene), 2.0 * np.pi * frequency
+    response = riding_response(system, scene.at_driven("shaker"), omega)
+    beds, gap = response[system.damper_coordinate], system.gap_coordinate[: system.dampers]
+    beds[gap >= 0] += response[gap[gap >= 0]]
+    walls = [element for element in system.elements if element.distance < np.inf and not element.law.starts_at_rest]
+    with np.errstate(divide="ignore"):
+        drives = [system.separation_acceleration[:, None] / (omega**2 * np.abs(beds))]
+        drives += [np.asarray(wall.distance / np.abs(wall.along_gap(response.T)))[None] for wall in walls]
+    drive = np.concatenate(drives).min(axis=0)
+    return np.asarray(drive * abs(response[: scene.structure.bodies]))
+
+
 def gaps_per_level(scene: Scene, system: HybridSystem, omega: Array) -> tuple[Array, Array]:
     """Return the amplitude of the gap of each element that rests between walls, and its distance from the nearer wall.
 

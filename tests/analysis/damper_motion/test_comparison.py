@@ -16,6 +16,7 @@ import daq
 import rig
 from analysis.commands.cli import app
 from analysis.commands.presentation.comparison import compare_peaks, describe_changes
+from analysis.commands.presentation.frf_findings import describe_frfs
 from analysis.core.damper_motion.comparison import (
     Peak,
     PeakChange,
@@ -299,3 +300,33 @@ def test_dominant_peak_without_mode_is_mentioned() -> None:
     assert message.startswith(
         "body1: the highest peak, at 10.00 Hz (1 times as high as the compared peaks), is not compared"
     )
+
+
+@pytest.mark.parametrize(("at_peak", "is_known"), [(0.95, True), (1.05, False), (1.4, False)])
+def test_peak_beyond_take_off_is_lower_bound(at_peak, is_known) -> None:
+    f = 10.0 + 0.25 * (np.arange(-8, 8) + 0.4)
+    value = two_modes(f, 10.0, 0.01)
+    exact = abs(two_modes(np.linspace(9.9, 10.1, 2001), 10.0, 0.01)).max()
+    estimate = peak(replace(measured_curve(f, value), loading=at_peak * abs(value) / exact), 9.0, 11.0)
+    assert estimate is not None and math.isfinite(estimate.expanded) == is_known
+    assert estimate.value == pytest.approx(exact if is_known else abs(value).max(), rel=1e-2)
+    assert estimate.loading == pytest.approx(0.0 if is_known else at_peak, rel=2e-2)
+
+
+def test_damper_in_flight_between_points_is_reported(tmp_path) -> None:
+    tones = {"kind": "stepped_sine", "from": "16 Hz", "to": "20 Hz", "points": 13, "spacing": "linear"}
+    dampers = [{"body": 1, "mass": "50 g", "clearance": "2 mm"}]
+    scene = rig.loads(ONE_BODY, where="a test").replace(dampers=dampers)
+    remarks, loading = [], []
+    for force in ("0.09 N", "0.14 N"):
+        path = daq.record(scene.replace(test={**tones, "force": force}), tmp_path / f"{force}.mcap")
+        [response] = analysis.frequency_responses(path)
+        remarks.append(" ".join(describe_frfs(response.curves())))
+        loading.append(response.loading)
+        acceleration = response.amplitude * abs(response["a"].to("acceleration").value) / scene.gravity
+        np.testing.assert_allclose(loading[-1], acceleration, rtol=1e-9)
+    assert max(loading[1]) < 1.0
+    assert "the peak between the points" in remarks[0] and "times the motion" not in remarks[0]
+    assert "the peak between the points" not in remarks[1] and "times the motion" in remarks[1]
+    with pytest.raises(rig.SceneError, match="do not resolve the response"):
+        response.interpolated(17.6)

@@ -75,10 +75,9 @@ def live_peaks(
     """Return the peaks of a curve, which may have gaps (NaN); `error`: relative standard uncertainty of each line.
 
     A peak is listed if the phase of this curve and that of the `responses` of all channels (channels, lines; by default
-    this curve) pass a resonance: the inner product from line to line weights each channel with its power.
-
-    The damping ratio is the half-power width over twice the frequency (Ewins, Modal Testing, 4.2); None if the width is
-    not resolved or not measured on both sides.
+    this curve) pass a resonance: the inner product from line to line weights each channel with its power. The damping
+    ratio is the half-power width over twice the frequency (Ewins, Modal Testing, 4.2); None if the width is not
+    resolved or not measured on both sides.
 
     >>> f = np.linspace(1.0, 20.0, 1901)
     >>> [peak] = live_peaks(f, 1.0 / (100.0 - f**2 + 2j * 0.01 * 10.0 * f), np.full(f.size, 0.01))
@@ -87,7 +86,8 @@ def live_peaks(
     """
     peaks = []
     magnitude, scatter = np.abs(response), _scatter(response)
-    all_responses = response[None] if responses is None else responses
+    curves = [response[None], response[None] if responses is None else responses]
+    drops = np.array([np.angle(np.nansum(each[:, :-1] * each[:, 1:].conj(), axis=0)) for each in curves])
     bounded = np.where(np.isfinite(magnitude), magnitude, -np.inf)
     is_maximum = (bounded[1:-1] > bounded[:-2]) & (bounded[1:-1] >= bounded[2:])
     for k in (np.flatnonzero(is_maximum & np.isfinite(bounded[:-2]) & np.isfinite(bounded[2:])) + 1).tolist():
@@ -95,11 +95,8 @@ def live_peaks(
         if not _is_prominent(bounded, k, min(bounded[k] / _MIN_RATIO, bounded[k] - _MIN_SCATTERS * scatter[k])):
             continue
         if left is not None and right is not None:
-            inside = slice(int(left), int(np.ceil(right)) + 1)
-            if any(
-                np.angle(np.nansum(each[:, :-1] * each[:, 1:].conj(), axis=0)).sum() < _MIN_PHASE_DROP
-                for each in (response[None, inside], all_responses[:, inside])
-            ):
+            drop = drops[:, int(left) : int(np.ceil(right))].sum(axis=1).min()
+            if drop < _MIN_PHASE_DROP:
                 continue
         damping, expanded = None, 0.0
         if left is not None and right is not None and right - left >= _MIN_WIDTH_LINES:

@@ -33,7 +33,8 @@ _BENCH_SCENE = "Scene of the rig. Default: environment variable SHOTRIG_SCENE, o
 
 BenchScene = Annotated[str | None, f"[SCENE]: {_BENCH_SCENE}"]
 Clock = Annotated[
-    str | None, "real|fast: Run in real time or as fast as possible. Default: SHOTRIG_CLOCK (environment), or real."
+    str | None,
+    "real|fast|manual: Run in real time, as fast as possible or on request. Default: SHOTRIG_CLOCK, or real.",
 ]
 Replace = Annotated[bool, "Replace the file if it exists."]
 

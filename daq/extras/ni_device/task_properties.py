@@ -141,7 +141,9 @@ def full_terminal(task: Task, name: str) -> str:
             f"{name!r} is not a terminal. Give a name such as PFI0 or /cDAQ1/ai/SampleClock.",
             Code.INVALID_ROUTING_SOURCE_TERMINAL_NAME_ROUTING,
         )
-    return f"/{task.settings.device}/{name}"
+    # The terminals of a module are those of its chassis.
+    chassis = task.settings.channels[0].module.chassis if task.settings.channels else ""
+    return f"/{chassis or task.settings.device}/{name}"
 
 
 def _counter(query: str, value: Callable[[Task], int]) -> Callable[[Task], int]:

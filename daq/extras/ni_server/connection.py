@@ -3,6 +3,7 @@
 import atexit
 import os
 import threading
+from collections.abc import Collection
 from pathlib import Path
 from typing import Self
 
@@ -48,6 +49,10 @@ class Connection(GrpcSessionOptions):
     def pass_time(self, seconds: float) -> None:
         """Wait until a duration, s, has passed on the bench."""
         self.chassis.pass_time(seconds)
+
+    def close_tasks(self, keep: Collection[str] = ()) -> None:
+        """Close all tasks of clients, except those named in `keep`."""
+        self._server.instrument.sessions.close_all(keep)
 
     def close(self, grace: float | None = 0.5) -> None:
         """Close the rig and all its tasks; running calls may finish within `grace` s (None: they are aborted)."""

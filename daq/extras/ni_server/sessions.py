@@ -149,12 +149,13 @@ class Sessions:
             self._end(task)
         return [task.name for task in ended]
 
-    def close_all(self) -> None:
-        """End all sessions."""
+    def close_all(self, keep: Collection[str] = ()) -> None:
+        """End all sessions, except those of the tasks named in `keep`."""
         with self._lock:
-            sessions, self._open = list(self._open.values()), {}
-        for session in sessions:
-            self._end(session.task)
+            names = [name for name, session in self._open.items() if session.task.name not in keep]
+            tasks = [self._open.pop(name).task for name in names]
+        for task in tasks:
+            self._end(task)
 
     def _end(self, task: Task) -> None:
         """Close a task without a client to which an error, for example of the log, could be reported."""

@@ -1,6 +1,7 @@
 """A bench for tests: the emulated devices, the samples that a program has read and written, and faults."""
 
-from collections.abc import Callable, Mapping, Sequence
+import warnings
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Self
 
@@ -117,8 +118,15 @@ class NidaqmxBench:
         finally:
             task.close()
 
+    def reset(self, keep: Collection[str] = ()) -> None:
+        """Close all tasks, except those named in `keep`, and end all faults; warn of faults that have not occurred."""
+        for unused in self.faults.reset():
+            warnings.warn(f"{unused} has had no effect: the program made too few calls.", stacklevel=2)
+        self.grpc_options.close_tasks(keep)
+
     def close(self) -> None:
         """Close the bench and all its tasks."""
+        self.reset()
         self.grpc_options.close(grace=None)
 
     def __enter__(self) -> Self:
@@ -186,7 +194,7 @@ def _read_description(bench: BenchLike) -> tuple[Document | None, str]:
             return (document if isinstance(document.content, dict) and "modules" in document.content else None), where
         if path.suffix not in (".yaml", ".yml"):
             return Document({"modules": [name.strip() for name in str(bench).split(",")]}), where
-    elif isinstance(bench, Mapping) and "modules" in bench:
+    elif isinstance(bench, Mapping) and "structure" not in bench:
         return Document(dict(bench)), where
     elif isinstance(bench, list | tuple):
         return Document({"modules": list(bench)}), where

@@ -155,12 +155,17 @@ class Source(Settings):
     """Constant voltage [V]."""
     amplitude: Voltage = 0.0
     """Amplitude of the sine [V]."""
-    frequency: Annotated[float, Quantity(FREQUENCY, above=0.0)] = 1.0
+    frequency: Annotated[float, Quantity(FREQUENCY, above=0.0)] | None = None
     """Frequency of the sine [Hz]."""
+
+    def check_consistency(self) -> Iterable[Problem]:
+        """Check that a sine has a frequency."""
+        if self.amplitude and self.frequency is None:
+            yield Problem(("frequency",), "missing; a source with an amplitude requires it")
 
     def voltage(self, time: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the voltage [V] at times in s."""
-        return self.offset + self.amplitude * np.sin(2.0 * np.pi * self.frequency * time)
+        return self.offset + self.amplitude * np.sin(2.0 * np.pi * (self.frequency or 0.0) * time)
 
 
 class SavedTask(Settings):

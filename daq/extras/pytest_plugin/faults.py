@@ -42,10 +42,15 @@ class Faults:
 
         `call` is "start", "read" or "write"; `after` is the number of calls that succeed before the failing call. The
         task continues as with hardware: before a read that fails with -200279, the buffer overflows; -200361 ends the
-        acquisition.
+        acquisition. Raises `SceneError` for an unknown call, an unknown code, or a negative number of calls.
         """
         if call not in CALLS:
             raise SceneError(f"there is no call {call!r}. Choose {', '.join(CALLS)}.")
+        if code not in list(Code):
+            hint = f"Give {-code}." if -code in list(Code) else "Choose a code of nidaqmx.error_codes.DAQmxErrors."
+            raise SceneError(f"the driver has no error {code}. {hint}")
+        if after < 0:
+            raise SceneError(f"after is {after}. Give 0 for the next call, or a positive number of calls.")
         self._future.append(_FutureError(call, code, after))
 
     def _on_call(self, call: str, task: Task) -> None:
@@ -100,10 +105,25 @@ class Faults:
             self._unplugged |= {name.lower(): devices.remove(name) for name in names}
             self._chassis.stop_runs(_unplugged_error(device), [name.lower() for name in names])
 
-    def plug_in(self) -> None:
-        """Connect all unplugged devices again."""
-        while self._unplugged:
-            self._chassis.devices.add(self._unplugged.popitem()[1])
+    def plug_in(self, device: str = "") -> None:
+        """Connect an unplugged device again, or a chassis with its modules; without a name, all devices."""
+        name = device.lower()
+        selected = [key for key, module in self._unplugged.items() if name in ("", key, module.chassis.lower())]
+        if name and not selected:
+            raise SceneError(f"{device} is not unplugged. Give one of {', '.join(self._unplugged) or 'none'}.")
+        for key in selected:
+            self._chassis.devices.add(self._unplugged.pop(key))
+
+    def reset(self) -> list[str]:
+        """End all faults, and return the failures that have not occurred, as the calls that required them."""
+        unused = [f"faults.fail({fault.call!r}, {fault.code})" for fault in self._future]
+        self._future.clear()
+        self._terminals.overloads.clear()
+        for task in self.other_clients.values():
+            task.close()
+        self.other_clients.clear()
+        self.plug_in()
+        return unused
 
     def _module(self, name: str) -> Module:
         try:

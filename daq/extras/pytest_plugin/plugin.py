@@ -12,6 +12,9 @@ if TYPE_CHECKING:
     from daq.extras.pytest_plugin.bench import NidaqmxBench
 
 _session_bench = pytest.StashKey[ExitStack]()
+# Tasks that were open on each bench when a test began: those of fixtures.
+_open_before = pytest.StashKey[dict["NidaqmxBench", list[str]]]()
+_benches_in_use: list[NidaqmxBench] = []
 _DESCRIPTION = (
     "modules such as 'NI 9234, NI 9263', a YAML file with modules, wires and sources, or a scene (default: NI 9234, "
     "NI 9263)"
@@ -40,6 +43,19 @@ def pytest_load_initial_conftests(early_config: pytest.Config) -> None:
         raise pytest.UsageError(f"--nidaqmx: {error}") from error
 
 
+@pytest.hookimpl(tryfirst=True)  # type: ignore[untyped-decorator]
+def pytest_runtest_call(item: pytest.Item) -> None:
+    """Note the open tasks of fixtures, before the test runs."""
+    item.stash[_open_before] = {bench: bench.open_tasks for bench in _benches_in_use}
+
+
+@pytest.hookimpl(trylast=True)  # type: ignore[untyped-decorator]
+def pytest_runtest_teardown(item: pytest.Item) -> None:
+    """Close the tasks that a test has left open on a bench of longer scope, and end the faults."""
+    for bench in _benches_in_use if _open_before in item.stash else ():
+        bench.reset(item.stash[_open_before].get(bench, ()))
+
+
 @pytest.fixture  # type: ignore[untyped-decorator]
 def nidaqmx_bench(pytestconfig: pytest.Config) -> Iterator[Callable[..., NidaqmxBench]]:
     """Open a bench of emulated devices that every `nidaqmx.Task()` uses until the end of the test.
@@ -60,6 +76,9 @@ def _benches(config: pytest.Config) -> Iterator[Callable[..., NidaqmxBench]]:
     with ExitStack() as stack:
 
         def open_for_test(bench: Any = None, **settings: Any) -> NidaqmxBench:
+            if unknown := settings.keys() - {"wires", "sources", "clock"}:
+                names = ", ".join(sorted(unknown))
+                raise TypeError(f"nidaqmx_bench() has no argument {names}. Choose bench, wires, sources, clock.")
             chosen = _chosen_bench(config) if bench is None else bench
             return stack.enter_context(_bench_in_use(chosen, **settings))
 
@@ -88,7 +107,9 @@ def _bench_in_use(bench: Any, **settings: Any) -> Iterator[NidaqmxBench]:
             patch.setattr("time.sleep", opened.sleep)
             for owner, name, value in opened.callback_waits.replacements():
                 patch.setattr(owner, name, value)
+        _benches_in_use.append(opened)
         try:
             yield opened
         finally:
+            _benches_in_use.remove(opened)
             client_defaults.disconnect(opened.address)

@@ -96,6 +96,8 @@ class WiredTerminals:
         for index, voltage in self._sources.items():
             try:
                 volts[index] = voltage(numbers / rate)
+                if np.isnan(volts[index]).any():
+                    raise ValueError("the voltage is not a number (NaN)")
             except Exception as error:
                 raise DaqError(
                     f"the source at {self.channels[index].name} has failed: {error!r}. A function must return the "

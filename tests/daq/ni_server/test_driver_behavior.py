@@ -72,7 +72,7 @@ def test_on_demand_output_allows_any_input_rate():
 def test_trigger_source_names_its_device(chassis):
     with add_inputs(Task()) as task:
         task.triggers.start_trigger.cfg_dig_edge_start_trig("PFI0")
-        assert task.triggers.start_trigger.dig_edge_src == "/cDAQ1Mod1/PFI0"
+        assert task.triggers.start_trigger.dig_edge_src == "/cDAQ1/PFI0"
         assert task.triggers.start_trigger.trig_type == TriggerType.DIGITAL_EDGE
 
 

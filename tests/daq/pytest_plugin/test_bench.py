@@ -249,6 +249,8 @@ def test_names_are_those_of_description(open_for_test):
         ({"modules": {"Dev1": 7}}, {}, r"modules\[1\].product_type: got 7"),
         ({"modules": {"Dev1": "USB-6001", "dev1": "USB-6002"}}, {}, "'Dev1' is the name of two devices"),
         ({"modules": {"mine": "NI 9234"}}, {}, "NI 9234 is in a chassis, which its name 'mine' does not state"),
+        ({"module": ["NI 9234"]}, {}, "unknown key 'module'|module: .*modules"),
+        (["NI 9234"], {"sources": {"ai0": {"amplitude": "1 V"}}}, "sources.ai0.frequency: missing"),
         ({"chassis": "cDAQ-9999", "modules": ["NI 9234"]}, {}, "chassis: no chassis 'cDAQ-9999' is known"),
         ({"chassis": "cDAQ-9174", "modules": 5 * ["NI 9234"]}, {}, "cDAQ1Mod5 is in no slot: cDAQ-9174 has 4 slots"),
         ("bare-structure", {"wires": ["ao0 -> ai0"]}, "cannot be combined with a scene"),
@@ -265,6 +267,19 @@ def test_failing_source_is_reported(open_for_test):
     bench = open_for_test(["NI 9234"], sources={"ai0": lambda time: [1.0, 2.0, 3.0]})
     with raises_code(-1, "the source at cDAQ1Mod1/ai0 has failed"):
         read_finite(bench, "cDAQ1Mod1/ai0", 100)
+
+
+def test_source_without_number_is_reported(open_for_test):
+    bench = open_for_test(["NI 9234"], sources={"ai0": lambda time: time * np.nan})
+    with raises_code(-1, "the voltage is not a number"):
+        read_finite(bench, "cDAQ1Mod1/ai0", 100)
+
+
+def test_terminals_of_task_are_those_of_chassis(open_for_test):
+    bench = open_for_test(["NI 9234"])
+    with continuous(bench) as task:
+        terminals = nidaqmx.system.System.remote(bench.grpc_options).devices["cDAQ1"].terminals
+        assert {task.triggers.start_trigger.term, task.timing.samp_clk_term} <= set(terminals)
 
 
 def test_saved_task_is_loaded(open_for_test):
@@ -501,6 +516,46 @@ def test_reserved_device_is_released(open_for_test):
         task.start()
         with pytest.raises(SceneError, match="there is no device 'cDAQ2Mod1'"):
             bench.faults.reserve("cDAQ2Mod1")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("read", 200279), "no error 200279. Give -200279"),
+        (("read", -12345), "no error -12345. Choose a code"),
+        (("read", -200279, -1), "after is -1"),
+    ],
+)
+def test_impossible_fault_is_rejected(open_for_test, arguments, message):
+    with pytest.raises(SceneError, match=message):
+        open_for_test().faults.fail(*arguments)
+
+
+def test_reset_ends_tasks_and_faults(open_for_test):
+    bench = open_for_test()
+    kept, open_task = continuous(bench), continuous(bench)
+    open_task.start()
+    bench.faults.fail("read", -200279)
+    bench.faults.reserve("cDAQ1Mod2")
+    bench.faults.unplug("cDAQ1Mod2")
+    bench.faults.overload("ai0", seconds=10.0)
+    with pytest.warns(UserWarning, match=r"faults.fail\('read', -200279\) has had no effect"):
+        bench.reset(keep=[kept.name])
+    assert bench.open_tasks == [kept.name]
+    assert not np.any(kept.read(10))
+    with task_on(bench) as output:
+        output.ao_channels.add_ao_voltage_chan("cDAQ1Mod2/ao0")
+        output.write(1.0)
+
+
+def test_one_device_is_plugged_in(open_for_test):
+    bench = open_for_test()
+    for device in ("cDAQ1Mod1", "cDAQ1Mod2"):
+        bench.faults.unplug(device)
+    bench.faults.plug_in("cDAQ1Mod1")
+    assert nidaqmx.system.System.remote(bench.grpc_options).devices.device_names == ["cDAQ1", "cDAQ1Mod1"]
+    with pytest.raises(SceneError, match="cDAQ1Mod1 is not unplugged"):
+        bench.faults.plug_in("cDAQ1Mod1")
 
 
 @pytest.mark.parametrize("device", ["cDAQ1Mod1", "cDAQ1"])

@@ -122,6 +122,39 @@ def test_restored():
 
 
 @pytest.mark.thorough
+def test_failing_test_leaves_session_bench_clean(run_pytest):
+    source = """
+import nidaqmx
+import pytest
+
+tasks = []
+
+@pytest.fixture(scope="session")
+def fixture_task():
+    with nidaqmx.Task("fixture") as task:
+        task.ao_channels.add_ao_voltage_chan("cDAQ1Mod2/ao0")
+        yield task
+
+@pytest.mark.parametrize("number", [1, 2])
+def test_leak(fixture_task, number):
+    tasks.append(nidaqmx.Task("leak"))
+    tasks[-1].ai_channels.add_ai_voltage_chan("cDAQ1Mod1/ai0")
+    tasks[-1].timing.cfg_samp_clk_timing(2048.0)
+    tasks[-1].start()
+    fixture_task.write(1.0)
+    assert number == 2
+
+def test_wrong_argument(nidaqmx_bench):
+    with pytest.raises(TypeError, match="has no argument source. Choose bench, wires, sources, clock"):
+        nidaqmx_bench(source={})
+    nidaqmx_bench().faults.fail("read", -200279)
+"""
+    result = run_pytest({"test_leak.py": source}, "--nidaqmx")
+    assert "1 failed, 2 passed" in result.stdout, result.stdout
+    assert "has had no effect" in result.stdout
+
+
+@pytest.mark.thorough
 def test_child_processes_use_innermost_bench(run_pytest):
     source = """
 import multiprocessing, subprocess, sys

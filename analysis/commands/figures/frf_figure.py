@@ -31,6 +31,7 @@ from analysis.commands.figures.peak_marks import (
     without_hidden_arrows,
 )
 from analysis.core.damper_motion.comparison import resonance_peaks
+from analysis.core.responses.frequency_responses import EXCLUDED_ALIASING
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.escaping import escape_figure
 from rig.core.base.figure_style import add_legend_below, add_title, frequency_axis, log_axis, new_figure
@@ -332,14 +333,25 @@ def includes_sensors(frfs: Sequence[Response]) -> bool:
 
 
 def unstated_tolerances(frfs: Sequence[Response]) -> list[str]:
-    """Return the causes of errors that the uncertainties of responses lack, because no tolerance is stated."""
+    """Return the causes of errors that the uncertainties of responses lack, because the scene does not state them."""
     has_clock = all(CLOCK in frf.limits for frf in frfs)
-    return ["calibration"] * (not includes_sensors(frfs)) + ["the sample clock"] * (not has_clock)
+    missing = ["calibration"] * (not includes_sensors(frfs)) + ["the sample clock"] * (not has_clock)
+    return missing + ["aliasing"] * any(EXCLUDED_ALIASING in text for frf in frfs for text in frf.warnings)
+
+
+def unstated_text(missing: Sequence[str]) -> str:
+    """Write which errors the intervals of results lack, and why; `missing`: from `unstated_tolerances`.
+
+    >>> unstated_text(["calibration", "the sample clock", "aliasing"])
+    'errors of calibration, the sample clock and aliasing: no tolerance or filter is stated'
+    """
+    errors = " and ".join(filter(None, [", ".join(missing[:-1]), missing[-1]]))
+    return f"errors of {errors}: no tolerance{' or filter' * ('aliasing' in missing)} is stated"
 
 
 def intervals_text(missing: Sequence[str]) -> str:
     """Write which errors the intervals of results lack, for a caption; `missing`: from `unstated_tolerances`."""
-    return "95 % intervals" + f" (without errors of {' and '.join(missing)}: no tolerance is stated)" * bool(missing)
+    return f"95 % intervals (without {unstated_text(missing)})" if missing else "95 % intervals"
 
 
 def _visible_edges(frf: Response) -> Array:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from analysis.commands.figures.frf_figure import unstated_tolerances
+from analysis.commands.figures.frf_figure import unstated_text, unstated_tolerances
 from analysis.commands.presentation.inputs import check_inputs, labels, read_curves
 from analysis.commands.presentation.outputs import (
     CommandOutput,
@@ -30,7 +30,7 @@ from analysis.core.recordings.names import (
     without_common_direction,
 )
 from analysis.core.responses.checks.curve_checks import find_jumps
-from analysis.core.responses.errors.systematic import tolerance
+from analysis.core.responses.errors.systematic import side_errors, tolerance
 from analysis.core.responses.estimator import Blocks, estimator_of
 from analysis.core.responses.frequency_responses import frequency_responses
 from analysis.extras.formats.frf_files import is_frf_file
@@ -123,8 +123,8 @@ def present_frf(
 
 def missing_tolerances(frfs: Sequence[Response]) -> list[str]:
     """Return a sentence about the errors that the intervals of results lack; empty if they contain all."""
-    missing = " and ".join(unstated_tolerances(frfs))
-    return [f"intervals without errors of {missing}: no tolerance is stated"] if missing else []
+    missing = unstated_tolerances(frfs)
+    return [f"intervals without {unstated_text(missing)}"] if missing else []
 
 
 def describe_frfs(curves: Sequence[Response]) -> list[str]:
@@ -334,15 +334,21 @@ def stated_tolerances(rec: Recording, frfs: Sequence[Response]) -> list[str]:
     if 2 * largest_contributions.count(SENSITIVITY) < len(largest_contributions):
         return []
     groups: dict[str, list[str]] = {}
+    has_preset = False
     settings = {channel.name: channel.accelerometer or channel.hammer for channel in rec.scene.channels or ()}
     for name, info in rec.channels.items():
         if tolerance(info):
             source = preset_note(settings.get(name), "sensitivity_tolerance")
-            groups.setdefault(f"{format_percent(tolerance(info))}{source}", []).append(name)
+            has_preset |= bool(source)
+            parts = "".join(f", {format_percent(part)} of it by {cause}" for cause, part in side_errors(info).items())
+            groups.setdefault(f"{format_percent(tolerance(info))}{parts}{source}", []).append(name)
     stated = "; ".join(f"{', '.join(names)} {text}" for text, names in groups.items())
     remark = (
         f"{rec.scene.name}: at most frequencies, the tolerance of the sensors ({stated}) is the largest "
-        "contribution to the uncertainty. If the sensors were calibrated, state the calibrated tolerance in the scene, "
-        "such as sensitivity_tolerance: 1 %"
+        "contribution to the uncertainty"
     )
-    return [remark]
+    advice = (
+        ". If the sensors were calibrated, state the calibrated tolerance in the scene, such as sensitivity_tolerance: "
+        "1 %"
+    )
+    return [remark + advice * has_preset]

@@ -7,6 +7,7 @@ from operator import le
 
 import numpy as np
 
+from analysis.commands.figures.frf_figure import unstated_text
 from analysis.commands.presentation.damper_findings import detection_limits
 from analysis.commands.presentation.mode_findings import MIN_SAME_SHAPE_MAC
 from analysis.commands.report_page.levels import level_headline, level_points
@@ -70,7 +71,7 @@ def limitations(measurements: Sequence[Measurement]) -> list[str]:
         if any(faults):
             texts.append(f"“{measurement.label}”: {'; '.join(dict.fromkeys(filter(None, faults)))}.")
     if missing := missing_tolerances([each for each in measurements if not each.spectra]):
-        texts.append(f"The intervals do not include errors of {' and '.join(missing)}: no tolerance is stated.")
+        texts.append(f"The intervals do not include {unstated_text(missing)}.")
     return texts
 
 

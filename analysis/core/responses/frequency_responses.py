@@ -26,6 +26,9 @@ from rig.core.results.response import MOTIONS
 from rig.core.results.response import Response as Response
 from rig.core.settings.quantities import FORCE, number
 
+#: Part of the warning of a recording without a filter.
+EXCLUDED_ALIASING = "The uncertainty excludes aliasing"
+
 
 @takes_path
 @with_one_blas_thread
@@ -103,8 +106,8 @@ def frequency_responses(
     unfiltered = [name for name in used if not rec.channels[name].filter]
     if rec.source and unfiltered:
         warnings.append(
-            f"{', '.join(unfiltered)}: imported, and the scene names no filter of the converter. The uncertainty "
-            "excludes aliasing from above half the sample rate. Name the filter in the scene (converter.preset or "
+            f"{', '.join(unfiltered)}: imported, and the scene names no filter of the converter. "
+            f"{EXCLUDED_ALIASING} from above half the sample rate. Name the filter in the scene (converter.preset or "
             "converter.filter), and import again."
         )
     if own_estimator.jumps:

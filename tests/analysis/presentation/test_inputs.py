@@ -16,7 +16,7 @@ import daq
 import rig
 from analysis.commands.cli import app
 from analysis.commands.presentation.comparison import MeasurementPoints, present_compare
-from analysis.commands.presentation.frf_findings import present_frf
+from analysis.commands.presentation.frf_findings import present_frf, stated_tolerances
 from analysis.commands.presentation.inputs import check_recording
 from analysis.commands.presentation.mode_findings import present_modes
 from analysis.extras.formats.results import export_results
@@ -121,6 +121,31 @@ def test_reversed_force_is_reported(bracket: dict[str, Path], tmp_path: Path) ->
         assert sum("channel is reversed" in str(warning.message) for warning in caught) == n_warnings
         for present in (present_frf, present_modes):
             assert sum("reversed" in warning for warning in present([path], tmp_path).warnings) == n_warnings
+
+
+@pytest.mark.usefixtures("undrawn_figures")
+def test_missing_filter_is_named_with_intervals(bracket: dict[str, Path], tmp_path: Path) -> None:
+    table = tmp_path / "base.csv"
+    assert CliRunner().invoke(app, ["export", str(bracket["base"]), "-o", str(table)]).exit_code == 0
+    scene = rig.load(bracket["base"].with_name("bracket.yaml"))
+    imported = daq.import_files(table, scene, tmp_path / "imported.mcap")
+    recorded_text, imported_text = (present_frf([path], tmp_path).lines[-1] for path in (bracket["base"], imported))
+    assert "the sample clock" in recorded_text and "aliasing" not in recorded_text
+    assert imported_text.endswith("the sample clock and aliasing: no tolerance or filter is stated")
+
+
+@pytest.mark.parametrize("calibration", [{}, {"sensitivity_tolerance": "1 %"}])
+def test_advice_to_calibrate_only_for_presets(calibration, tmp_path: Path) -> None:
+    scene = rig.loads(BRACKET, where="bracket").replace(
+        channels=[
+            {"name": "base", "at": "body 1", "accelerometer": {"preset": "PCB 352C33", **calibration}},
+            {"name": "force", "at": "shaker", "hammer": {"preset": "PCB 208C02", **calibration}},
+        ]
+    )
+    with daq.open(daq.record(scene, tmp_path / "calibrated.mcap")) as recording:
+        [remark] = stated_tolerances(recording, analysis.frequency_responses(recording)[0].curves())
+    assert ("If the sensors were calibrated" in remark) != bool(calibration)
+    assert "0.5 % of it by transverse sensitivity" in remark
 
 
 @pytest.mark.parametrize(

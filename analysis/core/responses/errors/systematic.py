@@ -69,16 +69,22 @@ def tolerance(info: ChannelInfo) -> float:
     >>> round(tolerance(ChannelInfo("a1", "body 1", "acceleration", 1.0, 5120.0, sensor=sheet)), 6)
     0.105
     """
+    return _setting(info, "sensitivity_tolerance", RATIO) + sum(side_errors(info).values())
 
-    def setting(name: str, kind: Kind, default: float = 0.0) -> float:
-        for key, text in info.sensor.items():
-            if key.endswith("." + name):
-                return abs(parse(text, kind))
-        return default
 
-    thermal = setting("temperature_drift", PER_KELVIN) * setting("temperature_change", TEMPERATURE)
-    transverse = setting("transverse", RATIO) * setting("lateral", RATIO, _LATERAL_RATIO)
-    return setting("sensitivity_tolerance", RATIO) + thermal + transverse
+def side_errors(info: ChannelInfo) -> dict[str, float]:
+    """Return the relative errors in a channel's `tolerance`, by cause, that a calibration does not contain."""
+    errors = {
+        "temperature": _setting(info, "temperature_drift", PER_KELVIN)
+        * _setting(info, "temperature_change", TEMPERATURE),
+        "transverse sensitivity": _setting(info, "transverse", RATIO)
+        * _setting(info, "lateral", RATIO, _LATERAL_RATIO),
+    }
+    return {cause: error for cause, error in errors.items() if error}
+
+
+def _setting(info: ChannelInfo, name: str, kind: Kind, default: float = 0.0) -> float:
+    return next((abs(parse(text, kind)) for key, text in info.sensor.items() if key.endswith("." + name)), default)
 
 
 def sensitivity_limit(rec: Recording, contributions: ChannelContributions) -> dict[str, Array]:

@@ -128,7 +128,7 @@ class SineSweep:
 
     def window(self, samples: int, frequency: float, drive: float) -> Generator[Array, Array, None]:
         """Output a window, in which the drive changes to a new amplitude, and store its readings."""
-        if self.completed or frequency != self.test.from_:
+        if 0 < self.completed < self.total:
             fractions = np.arange(self.completed, self.completed + samples + 1) / self.total
             periods = self.test.periods_at(np.minimum(fractions, 1.0))
             periods = periods - periods[0]

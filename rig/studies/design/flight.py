@@ -98,10 +98,12 @@ def describe_shortfall(
     lines = []
     for level in ineffective:
         acceleration = flight.acceleration_g(level)
-        state = "cannot fly" if acceleration <= 1.0 else "are not effective"
+        state, reason = "are not effective", "above 1 g, at which they take off"
+        if acceleration <= 1.0:
+            state, reason = "cannot fly", "take-off needs more than 1 g"
         lines.append(
             f"at {format_number(level)} {unit} the dampers {state} and change the peak by {-reductions_db[level]:+.1f} "
-            f"dB: take-off needs more than 1 g, and body {flight.body} reaches {format_number(acceleration)} g"
+            f"dB: body {flight.body} reaches {format_number(acceleration)} g, {reason}"
         )
     largest_reductions_db = {
         level: max((p.reduction_from(bare) for other in trials for p in other.peaks if p.level == level), default=0.0)

@@ -95,6 +95,14 @@ def test_body_is_held_through_resonance(first: str, last: str) -> None:
     assert not result.reason and not result.fields_of("tolerance")
 
 
+def test_drive_falls_as_tone() -> None:
+    # A falling constant would push the table out of its travel: 0.2 g for 0.25 s move it by 10 mm.
+    result = run(scene())
+    ((_, stop, _),) = result.marks_of("measure")
+    fall = result.drive[0, stop:]
+    assert abs(fall.mean()) < 0.05 * abs(fall).max()
+
+
 def test_dampers_in_flight_are_controlled() -> None:
     dampers = [{"body": 2, "mass_ratio": 0.06, "clearance": "1 mm", "contact": {"duration": "4 ms"}}]
     profile = {"frequencies": ["5 Hz", "30 Hz"], "acceleration": ["0.2 g", "0.2 g"]}

@@ -165,6 +165,8 @@ def test_levels_below_take_off_are_reported() -> None:
     weak_trial = Trial(trial.choice, peaks[:1])
     lines = describe_shortfall(weak_trial, bare, Flight(0.8, 1, np.nan), charted, [weak_trial], "N")
     assert "at levels of 1.41 N and more" in lines[1]
+    lines = describe_shortfall(weak_trial, bare, Flight(0.4, 1, np.nan), charted, [weak_trial], "N")
+    assert "the dampers are not effective" in lines[0] and "1.25 g, above 1 g, at which they take off" in lines[0]
     assert not describe_shortfall(Trial(trial.choice, peaks[1:]), bare, Flight(0.8, 1, np.nan), charted, [], "N")
 
 

@@ -123,7 +123,7 @@ def linear_limits(scene: Scene, frequency: Array) -> Array:
     """Return the amplitudes of the bodies at which linear motion ends [m], shape (bodies, frequencies).
 
     At these amplitudes, a bed reaches 1 g, a mass on a spring its wall, friction its limit, or the first joint closes
-    or slips. A bed on a compliant floor moves more than its body. `frequency`: Hz.
+    or slips. A bed on a compliant wall moves more than its body. `frequency`: Hz.
     """
     system, omega = assemble(scene), 2.0 * np.pi * frequency
     response = riding_response(system, scene.at_driven("shaker"), omega)

@@ -153,16 +153,19 @@ class ProfileCheck(Result):
 
     def strips(self) -> list[tuple[NDArray[np.bool_], str]]:
         """Return flags and color of the frequencies that a chart marks: reduced by a limited channel, and outside."""
-        limiting = [(self.is_limited(level) & self.is_reduced) for level in self.limited]
         colors = [style.color for style in self.styles()[1:]]
-        return [*zip(limiting, colors, strict=True), (self.is_outside, _OUTSIDE_COLOR)]
+        return [*zip(self._notch_flags(), colors, strict=True), (self.is_outside, _OUTSIDE_COLOR)]
+
+    def _notch_flags(self) -> list[NDArray[np.bool_]]:
+        """Return flags of the frequencies at which each limited channel keeps the control below the tolerance."""
+        return [self.is_limited(level) & self.is_reduced for level in self.limited]
 
     def notches(self) -> list[tuple[str, float, float]]:
-        """Return channel, lowest and highest frequency of each band in which a limit reduces the drive [Hz]."""
+        """Return channel, lowest and highest frequency of each band below the tolerance because of a limit [Hz]."""
         return [
             (level.channel, float(self.frequency[start]), float(self.frequency[stop - 1]))
-            for level in self.limited
-            for start, stop in runs_of(self.is_limited(level))
+            for level, is_notch in zip(self.limited, self._notch_flags(), strict=True)
+            for start, stop in runs_of(is_notch)
         ]
 
     def excesses(self) -> list[str]:
@@ -226,10 +229,11 @@ class ProfileCheck(Result):
             ax.loglog(self.frequency, level.values, color=limiting.color, lw=0.9, label=level.channel)
             line = {"color": limiting.color, "lw": 1.2, "label": f"limit of {level.channel}"}
             ax.loglog(self.frequency, level.limit, ls=(0, (1, 1.5)), **line)
-        for marked, color in self.strips():
-            for ends in ranges_of(self.frequency, marked):
+        labels = [*(f"notch: {level.channel}" for level in self.limited), "outside the tolerance"]
+        for (marked, color), label in zip(self.strips(), labels, strict=True):
+            for number, ends in enumerate(ranges_of(self.frequency, marked)):
                 # The outline makes the strip of a single frequency visible.
-                ax.axvspan(*ends, 0.0, 0.02, color=color, lw=1.5)
+                ax.axvspan(*ends, 0.0, 0.02, color=color, lw=1.5, label=None if number else label)
         density = "acceleration spectral density"
         ax.set(xlabel="frequency / Hz")
         ax.set_ylabel(f"{density if self.is_density else 'acceleration amplitude'} / ({self.unit})")

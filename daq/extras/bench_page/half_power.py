@@ -29,11 +29,10 @@ _MIN_WIDTH_LINES = 3.0
 # fig10b-three-dampers, the smaller of both decreases is at most 58° at these, and at least 134° at modes. In sweeps and
 # random tests of fig8-three-dampers, it is at least 80° at modes.
 _MIN_PHASE_DROP = np.radians(70.0)
-# A peak with a smaller coherence has no damping: the sweep is too fast for it, or it is noise.
-_MIN_COHERENCE = 0.7
 # Peaks below this fraction of the highest are not listed: damper impacts leave ripple there, which all impacts repeat.
 _SMALLEST_RATIO = 1e-3
-# Peaks belong to one resonance if their frequencies differ by less than this fraction; dampers split its peak.
+# Peaks belong to one resonance if their frequencies differ by less than this fraction; dampers split its peak. A tone
+# at this distance has not passed the resonance, whose highest peak may still follow.
 _SAME_PEAK = 0.08
 
 
@@ -48,9 +47,13 @@ class LivePeak(NamedTuple):
     relation: str = ""  # one of `RELATIONS`
 
 
-def largest_peaks(curves: LiveCurves, count: int) -> list[LivePeak]:
-    """Return the highest peaks, each of the channel with the highest peak; a single average has no peaks."""
-    candidates = []
+def largest_peaks(curves: LiveCurves, count: int, tone: float | None = None) -> list[LivePeak]:
+    """Return the highest peaks, each of the channel with the highest peak; a single average has no peaks.
+
+    Peaks near the present frequency of a moving `tone` [Hz] are omitted. A peak with a coherence below its limit has no
+    damping.
+    """
+    candidates, limit = [], curves.coherence_limit
     for name, response, coherence, relation in zip(
         curves.names, curves.value, curves.coherence, curves.relation, strict=True
     ):
@@ -58,8 +61,8 @@ def largest_peaks(curves: LiveCurves, count: int) -> list[LivePeak]:
             error = np.sqrt((1.0 - coherence) / (2.0 * curves.count * coherence))
         for peak in live_peaks(curves.frequency, response, error, curves.value):
             k = np.searchsorted(curves.frequency, peak.frequency)
-            if np.isfinite(coherence[k]):
-                if relation[k] or coherence[k] < _MIN_COHERENCE or not np.isfinite(peak.expanded):
+            if np.isfinite(coherence[k]) and (tone is None or abs(peak.frequency / tone - 1.0) > _SAME_PEAK):
+                if relation[k] or coherence[k] < limit[k] or not np.isfinite(peak.expanded):
                     peak = peak._replace(damping=None, expanded=0.0)
                 candidates.append(peak._replace(name=name, relation=RELATIONS[relation[k]]))
     largest: list[LivePeak] = []

@@ -436,15 +436,15 @@ class LiveBench:
         Without a running test or task, the level is that of the newest sample, not that of the last test.
         """
         lines, band = [], self.controller.excited_band() if self.controller.running else None
-        levels = self.monitor.drive_levels()
-        if not self.controller.running and not self.chassis.outputs:
+        levels, is_idle = self.monitor.drive_levels(), not self.controller.running and not self.chassis.outputs
+        if is_idle:
             levels = [(float(value), 0.0) for value in np.abs(self.monitor.drive_history.last(1)[:, 0])]
         for number, ((peak, frequency), drive_per_volt) in enumerate(
             zip(levels, self.chassis.terminals.drive_per_volt, strict=False), 1
         ):
             if frequency and band and band[0] == band[1]:
                 frequency = band[0]
-            tone = f", {frequency:.4g} Hz" if frequency else ""
+            tone = f", {frequency:.4g} Hz" if frequency else " (held)" if is_idle and peak else ""
             lines.append(f"output {number}: {peak / drive_per_volt:.4g} V{tone}")
         return lines
 

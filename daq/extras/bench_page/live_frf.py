@@ -27,6 +27,10 @@ _EXCITED_RATIO = 1e-3
 _LOBE_LINES = 2.0
 # Minimum number of averages for a coherence; with a single average it is 1 for any data.
 _MIN_COHERENCE_AVERAGES = 2
+# A response with a smaller coherence is uncertain, ...
+_MIN_COHERENCE = 0.7
+# ... as is a response whose coherence unrelated signals exceed with at least this probability.
+_SIGNIFICANCE = 0.05
 # Below its first determined line, the response to impacts is omitted: there the end of the window, which cuts the decay
 # of the resonances, contributes more than this fraction of the spectrum. This error is coherent among impacts.
 _MAX_TRUNCATION_RATIO = 0.5
@@ -56,6 +60,17 @@ class LiveCurves:
     def averages(self) -> int:
         """Largest number of averaged blocks or impacts of a line."""
         return int(self.count.max())
+
+    @property
+    def coherence_limit(self) -> Array:
+        """Coherence below which a line is uncertain; NaN at lines of a single average.
+
+        Unrelated Gaussian signals exceed a coherence c of n averages with probability (1 - c)^(n - 1) (Bendat and
+        Piersol, Random Data, chapter 9). Overlapping blocks count as independent: with a Hann window and an overlap of
+        one half, the variance is larger by less than 6 %.
+        """
+        averages = np.where(self.count < _MIN_COHERENCE_AVERAGES, np.nan, self.count)
+        return np.asarray(np.maximum(_MIN_COHERENCE, 1.0 - _SIGNIFICANCE ** (1.0 / (averages - 1.0))))
 
 
 class _SpectrumSums:

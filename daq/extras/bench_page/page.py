@@ -185,7 +185,10 @@ class Page:
     def _add_response(self, content: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> None:
         """Add the live frequency response if it has changed."""
         frf, test = self._monitor.frf, self._controller.tests
-        version = test, None if frf is None else (id(frf), frf.version)
+        low, high = (self._controller.running and self._controller.excited_band()) or (0.0, np.inf)
+        tone = low if low == high else None
+        # At the end of a test, the peaks near its last tone are added.
+        version = test, tone is None, None if frf is None else (id(frf), frf.version)
         if version == self._shown_version:
             return
         self._shown_version = version
@@ -197,12 +200,13 @@ class Page:
         }  # fmt: skip
         if curves is None:
             return
-        content["response"] |= {"names": curves.names, "peaks": largest_peaks(curves, _MAX_PEAKS)}
+        content["response"] |= {"names": curves.names, "peaks": largest_peaks(curves, _MAX_PEAKS, tone)}
         arrays |= {
             "frequency": curves.frequency,
             "magnitude": np.abs(curves.value),
             "phase": np.degrees(np.angle(curves.value)),
             "coherence": curves.coherence,
+            "coherence_limit": curves.coherence_limit,
             "force": controller.level_per_rms * curves.force,
             "relation": curves.relation,
         }

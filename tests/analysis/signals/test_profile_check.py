@@ -34,6 +34,14 @@ def test_low_control_without_limit_is_outside():
     assert result.within == 0.9 and not result.is_reduced.any()
 
 
+def test_notches_are_the_marked_strips():
+    control, unit = np.full(10, 0.6), np.full(10, 2.0)
+    control[[2, 3, 6]] = 0.1
+    result = check(control, unit)
+    assert result.notches() == [("unit", 12.0, 13.0), ("unit", 16.0, 16.0)]
+    assert FREQUENCY[result.strips()[0][0]].tolist() == [12.0, 13.0, 16.0]
+
+
 def test_excess_at_end_of_limit_is_named():
     unit, limit = np.ones(10), np.full(10, np.nan)
     limit[:6], unit[5] = 2.0, 20.0

@@ -400,6 +400,26 @@ def test_peak_list_names_highest_determined_channel():
     assert [peak.name for peak in largest_peaks(curves, 4)] == ["a"]
 
 
+def test_unrelated_signals_rarely_exceed_the_coherence_limit():
+    rng, lines = np.random.default_rng(1), 20_000
+    for averages in (2, 3, 5):
+        force, motion = rng.standard_normal((2, averages, lines, 2)) @ [1.0, 1.0j]
+        cross, powers = (motion * force.conj()).sum(axis=0), [(abs(each) ** 2).sum(axis=0) for each in (force, motion)]
+        coherence = abs(cross) ** 2 / powers[0] / powers[1]
+        count = np.full(lines, averages)
+        curves = LiveCurves(["a"], count, cross[None], coherence[None], count[None], powers[0], count)
+        assert np.mean(coherence > curves.coherence_limit) < 0.055
+    assert np.isnan(replace(curves, count=np.array([1])).coherence_limit)
+
+
+def test_peak_near_the_moving_tone_is_not_listed():
+    f = np.linspace(1.0, 20.0, 1901)
+    values = (1.0 / (100.0 - f**2 + 2j * 0.1 * f))[None]
+    ones, count = np.ones(values.shape), np.full(f.size, 3)
+    curves = LiveCurves(["a"], f, values, ones, np.zeros(values.shape, int), ones[0], count)
+    assert [len(largest_peaks(curves, 4, tone)) for tone in (10.5, 11.0, None)] == [0, 1, 1]
+
+
 @pytest.mark.parametrize("bench", ["hammer"], indirect=True)
 def test_only_accepted_hits_are_marked_and_averaged(bench):
     set_controls(bench, level=100.0, hits=4, interval=2.0)
@@ -469,6 +489,8 @@ def test_outputs_are_zero_after_a_test(bench):
         pass_time(bench, 0.25)
     assert bench.monitor.drive_levels()[0][0] > 1.0
     assert bench.outputs() == ["output 1: 0 V"]
+    bench.monitor.drive_history.add(bench.monitor.drive_history.stop, np.ones((1, 1)))
+    assert bench.outputs()[0].endswith(" V (held)")
 
 
 @pytest.mark.parametrize("bench", ["sweep"], indirect=True)

@@ -250,6 +250,15 @@ def test_texts_and_scales_suit_the_values(bench, browser):
     # An undetermined value has no phase.
     row = "{magnitude: [1e-4, 2e-4], phase: [-251, -80], relation: [0, 0], determined: [1, 0], angular: [1, 0]}"
     assert value(f"[0, 1].map((k) => response.cell({row}, k))") == ["100 µm/N\n109°", "~200 µm/N\n–"]
+    # A test without an accepted impact has its verdict instead of curves.
+    rejected = "{hits: [[1, 9, ['clipped'], false, true, [0, 1, 2]]], running: false, frf_reason: ''}"
+    hint = f"(response.head = null, response.note({rejected}), $('hint').textContent)"
+    assert value(hint) == "No accepted impact: 3 channels clipped. Lower the level."
+    # The limits of the coherence, the scatter of a single impact, and the amplitude of a tone.
+    texts = "[[0.7, 0.95], []].map((limit) => scatterText({limit, force: [NaN]}))"
+    assert value(texts) == ["uncertain (γ² < 0.7 to 0.95, or phase scatters)", "one impact: scatter unknown"]
+    assert value("clientForce({force: Float32Array.of(NaN, 0.617)})") == "NI clients, 0.873 N amplitude"
+    assert value("clientForce({force: Float32Array.of(0.5, 0.617)})") == "NI clients, 0.617 N rms"
     # A fault is final, a weak pulse may still rise.
     assert value("[['clipped'], ['too weak'], []].map((faults) => isJudged([1, 9, faults, false, false]))") == [
         True,
@@ -269,12 +278,14 @@ def test_overloads_of_all_channels_fit_their_panel(bench, browser):
     wait_for(browser, lambda: element(browser, "state").text == "ready")
     texts = browser.execute_script("""
         socket.onclose = null;
-        const overloads = Object.fromEntries(channels.map(({limit}, k) => [k, [54.72 - k, limit]]));
+        const overloads = Object.fromEntries(channels.map(({limit}, k) => [k, [k ? 83.7 : 54.72, limit]]));
         levels.update({state: {levels: channels.map(() => 1), overloads, clipping: []}});
         const panel = $('level-panel');
         return [$('causes').textContent, panel.scrollHeight - panel.clientHeight, $('alarm').hidden];
     """)
-    assert texts[0].startswith("Overload: base, arm: clipped at ") and "(53.7\u00a0s)" in texts[0].split(";")[0]
+    # Each channel has the time of its own first overload.
+    base, arm, _ = texts[0].split(";")
+    assert base == "Overload: base: clipped at 50 g (54.7\u00a0s)" and arm == " arm: clipped at 50 g (83.7\u00a0s)"
     assert texts[1] <= 0 and not texts[2]
     assert browser.execute_script(OUTSIDE) == []
 

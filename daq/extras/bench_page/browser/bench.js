@@ -74,7 +74,7 @@ function steady(key, [low, high]) {
   return [shownScales.get(key).low, shownScales.get(key).high];
 }
 
-const AXIS_QUANTITIES = { "µm": "displacement / ", mm: "displacement / ", g: "acceleration / " };
+const AXIS_QUANTITIES = { "µm": "displacement / ", mm: "displacement / ", g: "acceleration / ", N: "force / " };
 
 // A panel has the unit mm if its axis would end above 1000 µm.
 function inMillimeters(panel) {
@@ -95,7 +95,7 @@ function panels(kind, x, values, log) {
     }
     // Idle noise, 60 dB below the full scale of a channel, must not fill an axis.
     const idle = roundUp(Math.max(smallest, ...rows.map((row) => 1e-3 * factor * (channels[row].limit ?? 0))));
-    const label = key === "hammer" ? "hammer / N" : name, panel = { name: label, log, smallest: idle, share: rows.length > 1 ? 2 : 1, curves };
+    const panel = { name, log, smallest: idle, share: rows.length > 1 ? 2 : 1, curves };
     const [low, high] = limits(panel);
     // A spectrum shows three decades below its highest line, or below the smallest full scale.
     panel.range = steady(`${kind} ${key}`, log ? [Math.max(high, idle) * 1e-3, Math.max(high, idle)] : [low, high]);

@@ -4,6 +4,7 @@
 const AMBER = "#ffc53d"; // limits, and bounds instead of values
 const COLORS = { text: "#cfd6de", grid: "#323b46", minor: "#232a32", frame: "#4a5562" };
 const FEW = 6; // A curve with fewer points shows tones.
+const MARK = 7; // radius of the mark of a tone, px
 const LEFT = 54, RIGHT = 8, TOP = 8, BOTTOM = 32, GAP = 13; // px
 
 class Chart {
@@ -80,19 +81,20 @@ class Chart {
     context.translate(9, top + height / 2);
     context.rotate(-Math.PI / 2);
     context.textAlign = "center";
-    // The name of a low panel is its unit.
+    // The names of low panels are small, or units, so that they do not touch.
+    if (context.measureText(panel.name).width > height) context.font = "10px system-ui, sans-serif";
     text(context, context.measureText(panel.name).width > height + 2 * GAP ? panel.name.split(" / ").at(-1) : panel.name, 0, 0);
     context.restore();
   }
 
-  drawCurve({ x, y, color, dash = [], width = 1.4, opacity = 1, dots = false, mark = 4, arrows = [] }, toPixel) {
+  drawCurve({ x, y, color, dash = [], width = 1.4, opacity = 1, dots = false, mark = 0, arrows = [] }, toPixel) {
     const { context } = this, isGap = (k) => k < 0 || k >= y.length || !isFinite(y[k]);
     context.strokeStyle = context.fillStyle = color;
     [context.lineWidth, context.globalAlpha] = [width, opacity];
     context.setLineDash(dash);
     context.beginPath();
-    // The points of a few tones are larger than those among lines, and filled.
-    const isFew = y.filter((value) => isFinite(value)).length < FEW, r = isFew ? mark : 1;
+    // The points of a few tones are larger than those among lines, and hollow: circle, square, triangle.
+    const isFew = y.filter((value) => isFinite(value)).length < FEW, sides = [32, 4, 3, 6, 5][mark % 5];
     for (let k = 0; k < y.length; k++) {
       if (isGap(k)) continue;
       const px = this.position(x[k]), py = toPixel(y[k]);
@@ -103,8 +105,11 @@ class Chart {
       if (isGap(k - 1)) context.moveTo(px, py);
       else context.lineTo(px, py);
       if (!dots || !isGap(k - 1) || !isGap(k + 1)) continue;
-      context.rect(px - r, py - r, 2 * r, 2 * r);
-      if (isFew) context.fillRect(px - r, py - r, 2 * r, 2 * r);
+      if (!isFew) context.rect(px - 1, py - 1, 2, 2);
+      for (let j = 0; isFew && j <= sides; j++) {
+        const angle = (2 * Math.PI * (j + (sides === 4) / 2)) / sides;
+        context[j ? "lineTo" : "moveTo"](px + MARK * Math.sin(angle), py - MARK * Math.cos(angle));
+      }
     }
     context.stroke();
     context.setLineDash([]);

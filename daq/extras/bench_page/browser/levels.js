@@ -34,11 +34,11 @@ const levels = {
       row.over = Boolean(overload);
       row.name.classList.toggle("over", row.over);
       if (!overload) return;
-      const [time, reading] = overload, text = cause(channel, reading), [names, first] = causes.get(text) ?? [[], Infinity];
-      causes.set(text, [[...names, channel.name], Math.min(first, time)]);
+      const [time, reading] = overload, text = `${cause(channel, reading)} (${digits(time, 3)}\u00a0s)`;
+      causes.set(text, [...(causes.get(text) ?? []), channel.name]);
     });
-    // Each cause has the time of its first overload.
-    const texts = [...causes].map(([text, [names, time]]) => `${names.join(", ")}: ${text} (${digits(time, 3)}\u00a0s)`);
+    // Channels with the same cause and time are listed together.
+    const texts = [...causes].map(([text, names]) => `${names.join(", ")}: ${text}`);
     $("alarm").hidden = !texts.length;
     setText("causes", `Overload: ${texts.join("; ")}. Lower the level or extend the range.`);
   },

@@ -9,6 +9,7 @@ const response = {
   start(channels, isLinear) {
     this.channels = channels.filter((channel) => channel.responds);
     this.isLinear = isLinear;
+    if (!isLinear) $("theory").nextSibling.data = " linear theory, no dampers – –";
     setText("damping-kind", isLinear ? "half-power damping, 95 %" : "approximate: nonlinear");
     this.chart = new Chart($("frf"), { name: "frequency / Hz", log: false });
     fillLegend($("legend"), this.channels);
@@ -30,12 +31,13 @@ const response = {
     if (this.curves && this.curves.test !== head.test) [this.previous, this.curves, this.chart.cursors] = [this.curves, null, []];
     this.head = head;
     if (arrays.frequency) {
-      const { frequency, magnitude, phase, coherence } = arrays;
+      const { frequency, magnitude, phase, coherence, coherence_limit: [limit] } = arrays;
       const rows = this.channels.map((channel, k) => {
-        const angle = wrapped(phase[k]);
-        return { ...channel, magnitude: magnitude[k], phase: angle, coherence: coherence[k], relation: arrays.relation[k], determined: determined(angle, coherence[k]) };
+        const angle = wrapped(phase[k]), smooth = determined(angle, coherence[k], limit);
+        // A single average has a smooth phase, but an unknown scatter.
+        return { ...channel, magnitude: magnitude[k], phase: angle, coherence: coherence[k], relation: arrays.relation[k], smooth, determined: smooth.map((each, line) => each && isFinite(limit[line])) };
       });
-      this.curves = { test: head.test, level: head.level, force: arrays.force[0], frequency: frequency[0], rows };
+      this.curves = { test: head.test, level: head.level, limit: limit.filter(isFinite).sort(), force: arrays.force[0], frequency: frequency[0], rows };
     }
     if ($("theory").checked && this.band?.join() !== head.band?.join()) send("theory");
     this.band = head.band;
@@ -52,9 +54,10 @@ const response = {
   note(state) {
     $("response").classList.toggle("empty", !state.running && !this.curves && !this.previous);
     const averages = this.head?.averages;
-    const empty = state.hits.length ? (state.hits[0][4] ? "no accepted impact" : "after this impact") : state.running ? "after settling" : "start a test";
     this.details = state.details;
-    const [last] = state.hits, impacts = last ? last[0] - !isJudged(last) : 0;
+    const [last] = state.hits, empty = last ? (last[4] ? "no accepted impact" : "after this impact") : state.running ? "after settling" : "start a test";
+    setText("hint", last && !last[3] ? `No accepted impact: ${verdictOf(last) || "rejected by the operator"}. ${last[2].includes("clipped") ? "Lower the level." : "Add another impact."}` : HINT);
+    const impacts = last ? last[0] - !isJudged(last) : 0;
     const count = impacts > 0 ? `${averages} of ${impacts} impact${impacts > 1 ? "s" : ""} averaged` : `H1, ${averages} average${averages > 1 ? "s" : ""}`;
     return (averages ? count + (averages > 1 ? "" : ": no γ²") : state.frf_reason || empty) + (this.problem ? `; ${this.problem}` : "");
   },
@@ -76,20 +79,19 @@ const response = {
     const showsLast = previous && $("last").checked;
     if (showsLast) for (const row of previous.rows) magnitude.push({ x: previous.frequency, y: micro(row.magnitude), color: row.color, width: 1, opacity: 0.45 });
     const isClipped = curves?.rows.some((row) => row.relation.some(Boolean));
-    setText("thin", [curves ? [curves.level == null ? clientForce(curves) : `${digits(curves.level, 3)} N`, `Δf ${digits(curves.frequency[1] - curves.frequency[0], 2)} Hz`, this.details].filter(Boolean).join(", ") : "", isClipped ? "dashed: clipped; arrow: side of the true value" : "", curves ? "thin: uncertain (γ² < 0.7, or phase scatters)" : "", showsLast ? `pale: last test${previous.level == null ? "" : `, ${digits(previous.level, 3)} N`}` : ""].filter(Boolean).join("; "));
+    setText("thin", [curves ? [curves.level == null ? clientForce(curves) : `${digits(curves.level, 3)} N`, `Δf ${digits(curves.frequency[1] - curves.frequency[0], 2)} Hz`, this.details].filter(Boolean).join(", ") : "", isClipped ? "dashed: clipped; arrow: side of the true value" : "", curves ? `thin: ${scatterText(curves)}` : "", showsLast ? `pale: last test${previous.level == null ? "" : `, ${digits(previous.level, 3)} N`}` : ""].filter(Boolean).join("; "));
     if (theory && $("theory").checked) {
       theory.rows.forEach((row, k) => magnitude.push({ x: theory.frequency, y: micro(row), color: this.channels[k].color, dash: [7, 4], width: 1, opacity: 0.6 }));
     }
     for (const [number, row] of (curves?.rows ?? []).entries()) {
-      // Large marks of tones are behind small marks.
-      const style = { x: curves.frequency, color: row.color, dots: true, mark: 3 + 1.5 * (curves.rows.length - 1 - number) };
-      const certain = row.determined.map((each, k) => each && !row.relation[k]), angular = (row.angular = longRuns(certain, RUN, row.coherence)), only = (y, isShown) => y.map((value, k) => (isShown(k) ? value : NaN));
+      const style = { x: curves.frequency, color: row.color, dots: true, mark: number };
+      const certain = row.smooth.map((each, k) => each && !row.relation[k]), angular = (row.angular = longRuns(certain, RUN, row.coherence)), only = (y, isShown) => y.map((value, k) => (isShown(k) ? value : NaN));
       magnitude.push({ ...style, y: micro(row.magnitude), width: 0.9, opacity: 0.8, noisy: true });
       magnitude.push({ ...style, y: only(micro(row.magnitude), (k) => row.relation[k]), width: 1.6, dash: [5, 4] });
-      magnitude.push({ ...style, y: only(micro(row.magnitude), (k) => certain[k]), width: 1.8 });
+      magnitude.push({ ...style, y: only(micro(row.magnitude), (k) => certain[k]), width: curves.limit.length ? 1.8 : 0.9 });
       // The line is interrupted where the phase wraps; a few lines between two such positions are no curve.
       const drawn = longRuns(angular.map((each, k) => each && !(Math.abs(row.phase[k] - row.phase[k - 1]) > 180)), PIECE);
-      phase.push({ ...style, y: only(row.phase, (k) => drawn[k]), width: 1.6 });
+      phase.push({ ...style, y: only(row.phase, (k) => drawn[k]), width: curves.limit.length ? 1.6 : 0.9 });
       coherence.push({ ...style, y: row.coherence, width: 0.9, opacity: 0.8 }, { ...style, y: only(row.coherence, (k) => certain[k]) }, { ...style, y: only(row.coherence, (k) => row.relation[k]), dash: [5, 4] });
       // Arrows at the highest clipped point show on which sides of it the true value may be.
       const highest = row.magnitude.reduce((best, value, k) => (row.relation[k] && value > (row.magnitude[best] || 0) ? k : best), -1);
@@ -157,21 +159,20 @@ const response = {
       const row = $("peaks").rows[k + 1];
       row.classList.toggle("bound", relation !== "");
       row.classList.toggle("uncertain", uncertain[k]);
-      row.title = uncertain[k] ? "Uncertain: γ² < 0.7, γ² < 0.9 without damping, or the phase scatters. Sweep slower, or average more." : "";
-      if (damping == null && !uncertain[k]) row.lastChild.title = relation ? "No damping: the peak is clipped." : "Lower limit, no damping: the half-power width has fewer than 3 lines, one side of the peak is not measured, or its coherence is below 0.7.";
+      row.title = uncertain[k] ? "Uncertain: the curve is thin here, or γ² < 0.9 without damping. Sweep slower, or average more." : "";
+      if (damping == null && !uncertain[k]) row.lastChild.title = relation ? "No damping: the peak is clipped." : "Lower limit, no damping: the half-power width has fewer than 3 lines, one side of the peak is not measured, or its coherence is low.";
     });
   },
 };
 
 // A touch screen has no shift key. A browser without a pointing device, which draws pictures, is no touch screen.
 const IS_TOUCH = matchMedia("(pointer: coarse)").matches;
+const HINT = "Start a test: the response of the structure grows here.";
 const CURSOR_HINT = IS_TOUCH ? "The last two taps are cursors A and B." : "Click: cursor A. Shift and click: cursor B. Double-click: none.";
 // Signs of the relation of the true value to a clipped one.
 const RELATIONS = ["", "≥", "≤", "? "];
 // Color of the last test: its curves lie behind those of the present test.
 const LAST = "#8994a0";
-// Below this coherence, or where the phase scatters, the magnitude is a thin line and the phase is omitted.
-const COHERENT = 0.7;
 // A spectral line is noise if the phase steps exceed this angle, degrees, at a quarter of the lines around it.
 const LARGEST_STEP = 17;
 const AROUND = 40; // lines on either side
@@ -180,9 +181,16 @@ const DECADES = 2.5;
 const COHERENT_PHASE = 0.9, RUN = 12;
 const PIECE = 4; // lines of the shortest drawn piece of a phase between two wraps
 
-// The force of the lines that NI clients excite: the largest rms.
+// The force of the lines that NI clients excite: the largest rms, or the amplitude of a tone.
 function clientForce({ force }) {
-  return force.some(isFinite) ? `NI clients, ${digits(Math.max(...force.filter(isFinite)), 3)} N rms` : "";
+  const known = force.filter(isFinite), isTone = known.length === 1;
+  return known.length ? `NI clients, ${digits(Math.max(...known) * (isTone ? Math.SQRT2 : 1), 3)} N ${isTone ? "amplitude" : "rms"}` : "";
+}
+
+// The reason why a curve is thin, with the limits of the coherence.
+function scatterText({ limit, force }) {
+  if (!limit.length) return `one ${force.some(isFinite) ? "average" : "impact"}: scatter unknown`;
+  return `uncertain (γ² < ${[...new Set([limit[0], limit.at(-1)].map((each) => digits(each, 2)))].join(" to ")}, or phase scatters)`;
 }
 
 // Remove runs of few lines or with a low coherence, unless there are no other runs, as with a few tones.
@@ -195,7 +203,7 @@ function longRuns(values, fewest, coherence = null) {
 }
 
 // Return whether the response at each line is determined: coherent, and with a phase that does not scatter.
-function determined(phase, coherence) {
+function determined(phase, coherence, limit) {
   const steps = phase.map((value, k) => (k ? Math.abs(value - phase[k - 1]) : 0));
   const around = (values, k) => values.slice(Math.max(k - AROUND, 0), k + AROUND + 1);
   const smooth = Array.from(steps, (_, k) => {
@@ -206,7 +214,7 @@ function determined(phase, coherence) {
   const inside = smooth.map((_, k) => around(smooth, k).every(Boolean));
   // A single average has no coherence; among averages, a line without coherence is uncertain.
   const isSingle = coherence.every(isNaN);
-  return Array.from(coherence, (value, k) => (isSingle || value >= COHERENT) && around(inside, k).some(Boolean));
+  return Array.from(coherence, (value, k) => (isSingle || value >= limit[k]) && around(inside, k).some(Boolean));
 }
 
 // The phase from -330° to 30°, as in the report: a receptance out of phase stays at -180°, and in phase at 0°.

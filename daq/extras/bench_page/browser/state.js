@@ -29,7 +29,7 @@ const bar = {
     if (arrays.pulse) {
       const force = arrays.pulse[0];
       this.pulse.show([0, 1000 * step * force.length], [
-        { name: "N", range: [-0.1 * roundUp(Math.max(...force)), roundUp(Math.max(...force))], curves: [{ x: force.map((_, k) => 1000 * step * k), y: force, color: "#ffffff" }] }]);
+        { name: "force / N", range: [-0.1 * roundUp(Math.max(...force)), roundUp(Math.max(...force))], curves: [{ x: force.map((_, k) => 1000 * step * k), y: force, color: "#ffffff" }] }]);
     }
     this.showHits(state.hits);
     setText("response-note", response.note(state));
@@ -48,11 +48,10 @@ const bar = {
     if (shown === this.shownHits) return;
     this.shownHits = shown;
     $("hit-list").replaceChildren();
-    const names = (rows) => rows.map((row) => channels[row].name).join(", ");
     for (const hit of hits) {
-      const [number, peak, faults, accepted, complete, overloaded] = hit;
+      const [number, peak, , accepted, complete, overloaded] = hit;
       const isClipped = overloaded.some((row) => channels[row].at === "hammer");
-      const verdict = faults.map((fault) => (fault === "clipped" ? `${overloaded.length > 2 ? `${overloaded.length} channels` : names(overloaded)} clipped` : fault)).join(", ");
+      const verdict = verdictOf(hit);
       const row = make($("hit-list"), "tr"), box = make(make(row, "td"), "input");
       Object.assign(box, { type: "checkbox", checked: accepted, disabled: !complete, title: "Use this impact for the response" });
       box.addEventListener("change", () => send("accept", [number, box.checked]));
@@ -63,6 +62,12 @@ const bar = {
     }
   },
 };
+
+// The faults of an impact, with the channels that clipped.
+function verdictOf([, , faults, , , overloaded]) {
+  const clipped = overloaded.length > 2 ? `${overloaded.length} channels` : overloaded.map((row) => channels[row].name).join(", ");
+  return faults.map((fault) => (fault === "clipped" ? `${clipped} clipped` : fault)).join(", ");
+}
 
 // Whether an impact is accepted or rejected: a weak pulse may still rise, other faults are final.
 function isJudged([, , faults, , complete]) {

@@ -38,7 +38,7 @@ class Response(ResponseArithmetic, Sequence["Response"]):
 
     Indexing by a name selects, as in xarray: ``response["body3"]`` is the curve of that output, whose arrays have one
     axis. With several inputs, ``response["body3"]`` has one output and all inputs, and ``response["body3", "force2"]``
-    is a curve. Iteration and integer indices give the elements as curves, output by output.
+    is a curve. Iteration and integer indices give the entries as curves, output by output.
 
     Attributes
     ----------
@@ -172,7 +172,7 @@ class Response(ResponseArithmetic, Sequence["Response"]):
         )
 
     def to_uff(self, path: str | Path, nodes: Sequence[int] | None = None, driven: Sequence[int] = (0,)) -> Path:
-        """Write a Universal File with a data set 58 for each element.
+        """Write a Universal File with a data set 58 for each entry.
 
         Parameters
         ----------
@@ -221,7 +221,7 @@ class Response(ResponseArithmetic, Sequence["Response"]):
         return axes
 
     def draw(self, ax: Axes, **style: Any) -> None:
-        """Draw the magnitude with its expanded uncertainty, both axes logarithmic, for each element."""
+        """Draw the magnitude with its expanded uncertainty, both axes logarithmic, for each entry."""
         if not self.is_curve:
             place_colors = location_styles([curve.outputs[0].at for curve in self.curves()])
             for curve, (color, *_) in zip(self.curves(), place_colors, strict=True):

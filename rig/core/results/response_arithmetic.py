@@ -57,7 +57,7 @@ class ResponseArithmetic(ResponseValues):
         )
 
     def __truediv__(self, other: Self) -> Self:
-        """Return the ratio to another response of the same elements, at the lines of this response.
+        """Return the ratio to another response of the same entries, at the lines of this response.
 
         The other response is interpolated; outside its frequency range the ratio is NaN. Errors of the same sensor, the
         same clock or the same readings affect both responses; they cancel or add up in the ratio.
@@ -150,7 +150,7 @@ class ResponseArithmetic(ResponseValues):
 
         def interpolate(column: NDArray[Any]) -> NDArray[Any]:
             flat = np.reshape(column, (column.shape[0], -1))
-            rows = [np.interp(frequency, ordered.frequency, element, np.nan, np.nan) for element in flat.T]
+            rows = [np.interp(frequency, ordered.frequency, column, np.nan, np.nan) for column in flat.T]
             return np.stack(rows, axis=1).reshape(frequency.size, *column.shape[1:])
 
         budgets = [curve.uncertainty for curve in known]

@@ -32,7 +32,7 @@ _REST_PER_INTERVAL = 0.25
 def _remedy(deviations: Sequence[float], is_coherent: bool) -> str:
     """Return the remedy for pulses with these deviations, in their order.
 
-    `is_coherent`: whether the lines with sufficient coherence give a pulse within its tolerance.
+    `is_coherent`: whether the pulse without its incoherent lines is within its tolerance.
     """
     if deviations[-1] > _MIN_DIVERGENCE_RATIO * deviations[0]:
         return (
@@ -84,7 +84,7 @@ class ShockProcedure(Procedure["Shock"]):
         [gain], [coherence] = yield from identify(station, [row], lines, period, required, np.full(1, np.inf), "shock")
         replication = Replication(pulse.target, lines, np.where(coherence >= MIN_COHERENCE, gain, 0.0))
         station.check_output(float(abs(replication.drive(1.0)).max()), "the pulse", pulse.remedy)
-        is_coherent = pulse.deviation(replication.known_part())[0] <= pulse.tolerance
+        is_coherent = pulse.deviation(pulse.target - replication.unknown_part())[0] <= pulse.tolerance
         levels, n_practice = list(test.practice), max(_MAX_PRACTICE, len(test.practice))
         total, number, is_within, message, deviations = n_practice + test.repeats, 0, False, "", list[float]()
         while levels or not is_within:

@@ -52,9 +52,9 @@ class Replication:
         """Return one period of the sum of tones with complex amplitudes at the lines, shape (period,)."""
         return sum_of_tones(self.lines, amplitudes, np.zeros(1), self._period)
 
-    def known_part(self) -> Array:
-        """Return the target at the lines with a known response, shape (period,)."""
-        return self.to_wave(np.where(self._inverse != 0.0, self._target, 0.0))
+    def unknown_part(self) -> Array:
+        """Return the target at the lines without a known response, shape (period,)."""
+        return self.to_wave(np.where(self._inverse == 0.0, self._target, 0.0))
 
     def correct(self, response: ComplexArray, level: float) -> None:
         """Correct the drive after a pulse at a level; `response`: accelerations at the lines [m/s²]."""

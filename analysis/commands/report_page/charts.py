@@ -187,7 +187,9 @@ def _panel(panel: Panel) -> dict[str, Any]:
         "curves": [_curve(curve, panel.logarithmic) for curve in panel.curves],
         "image": panel.image,
         "marks": panel.marks,
-        "strips": [strip._asdict() for strip in panel.strips],
+        "strips": [
+            {"ends": _column(strip.ends, digits=_ABSCISSA_DIGITS), "color": strip.color} for strip in panel.strips
+        ],
     }
 
 

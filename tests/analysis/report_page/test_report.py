@@ -24,7 +24,7 @@ from analysis.commands.presentation.damper_findings import describe_motions
 from analysis.commands.presentation.frf_findings import describe_frfs
 from analysis.commands.presentation.mode_findings import describe_modes
 from analysis.commands.presentation.tables import modes_table
-from analysis.commands.report_page.charts import Chart, ChartWriter, Curve, EvenlySpaced, Panel
+from analysis.commands.report_page.charts import Chart, ChartWriter, Curve, EvenlySpaced, Panel, Strip
 from analysis.commands.report_page.drawing import mode_drawing, rig_drawing
 from analysis.commands.report_page.histories import time_histories
 from analysis.commands.report_page.levels import _highest_maximum, level_headline
@@ -356,6 +356,11 @@ def test_chart_data_suit_axis_and_page(curve: Curve, logarithmic: bool, data: st
     panel = Panel("size", "m", [curve], logarithmic=logarithmic)
     html = ChartWriter().write(Chart("“Fig. 8, two dampers”", "alternative", [panel], notes=["Below."]))
     assert data in html and "<b>“Fig. 8, two dampers”</b>" in html and '<p class="key">Below.</p>' in html
+
+
+def test_strips_have_digits_of_abscissa() -> None:
+    panel = Panel("size", "m", [Curve("curve", [10.0, 11.0], [1.0, 2.0])], strips=[Strip((1 / 3, 10 / 3), "red")])
+    assert '"ends":[0.33333333,3.3333333]' in ChartWriter().write(Chart("caption", "alternative", [panel]))
 
 
 def test_answer_names_each_sweep(tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ from analysis.commands.presentation.outputs import (
     with_ending,
     with_recording_name,
 )
-from analysis.core.damper_motion.comparison import is_next_to_omitted, resonance_peaks
+from analysis.core.damper_motion.comparison import Peak, is_next_to_omitted, resonance_peaks
 from analysis.core.recordings.names import (
     OpenRecordings,
     acquisition_text,
@@ -191,14 +191,7 @@ def _peaks_between_points(frf: Response) -> list[str]:
         for resonance in coarse
         for jump in _jumps_next_to(frf, resonance)
     ]
-    remarks += [
-        f"the peak between {p.lowest_frequency:.4g} and {p.highest_frequency:.4g} Hz may be higher than measured: the "
-        f"points are linear motion, and its peak would be {p.loading:.2g} times the motion at which a damper or joint "
-        "acts (a bed: 1 g). "
-        f"{estimator_of(frf.test).peak_remedy(r.needed_spacing)}, or reduce the level {p.loading:.2g} times"
-        for r, p, _ in peaks
-        if p.loading
-    ]
+    remarks += [_take_off_remark(frf, r, p) for r, p, _ in peaks if p.loading]
     unresolved = [resonance for resonance in coarse if not _jumps_next_to(frf, resonance)]
     return remarks + ([_spacing_remark(frf, unresolved)] if unresolved else [])
 
@@ -207,6 +200,24 @@ def _jumps_next_to(frf: Response, resonance: Resonance) -> list[float]:
     """Return the frequencies of the jumps between the highest point of a resonance and its neighbors [Hz]."""
     points = frf.frequency[max(resonance.line - 1, 0) : resonance.line + 2]
     return [jump for jump, _ in _jump_marks([frf]) if points.min() < jump < points.max()]
+
+
+def _take_off_remark(frf: Response, resonance: Resonance, peak: Peak) -> str:
+    """Return the advice on a peak whose points do not show whether a damper moves at the peak."""
+    assert frf.loading is not None
+    lines = (frf.frequency >= peak.lowest_frequency) & (frf.frequency <= peak.highest_frequency)
+    where = f"between {peak.lowest_frequency:.4g} and {peak.highest_frequency:.4g} Hz"
+    remedy = estimator_of(frf.test).peak_remedy(resonance.needed_spacing)
+    if (frf.loading[lines] > 1.0).any():
+        return (
+            f"the peak {where} may be higher than measured: a damper or joint acts at some of these points (a "
+            f"bed: above 1 g) and not at others. {remedy}"
+        )
+    return (
+        f"the peak {where} may be higher than measured: the points are linear motion, and its peak would be "
+        f"{peak.loading:.2g} times the motion at which a damper or joint acts (a bed: 1 g). {remedy}, or reduce the "
+        f"level {peak.loading:.2g} times"
+    )
 
 
 def _spacing_remark(frf: Response, coarse: Sequence[Resonance]) -> str:

@@ -66,7 +66,8 @@ class Peak:
         0.0  # largest relative error of the sample clock, included in `expanded` and in the limits of frequency
     )
     highest_point: float = inf  # magnitude of the highest measured point [m/N]; infinite if there is no interpolation
-    # `Response.loading` of the interpolated peak, if it exceeds 1 and the points do not: the peak is then undetermined
+    # `Response.loading` of the interpolated peak, if it exceeds 1 and a point next to it does not: the peak is then
+    # undetermined
     loading: float = 0.0
 
     bound = renamed("bound", "expanded")

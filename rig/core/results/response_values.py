@@ -1,6 +1,6 @@
-"""Values of frequency responses with their uncertainty, and the selection of their elements and lines.
+"""Values of frequency responses with their uncertainty, and the selection of their entries and lines.
 
-A line is one frequency of a response. An element is one output over one input; a curve is a response of one element.
+A line is one frequency of a response. An entry is one output over one input; a curve is a response of one entry.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -25,7 +25,7 @@ _MAX_EXCESS = 0.01
 
 @dataclass(frozen=True, repr=False, eq=False)
 class ResponseValues(Result):
-    """Fields, elements and lines of a response; `Response` describes the fields."""
+    """Fields, entries and lines of a response; `Response` describes the fields."""
 
     frequency: Array
     value: ComplexArray
@@ -225,7 +225,7 @@ class ResponseValues(Result):
         return tuple(self._select([i], [k]) for i in range(len(self.outputs)) for k in range(len(self.inputs)))
 
     def curves(self) -> tuple[Self, ...]:
-        """Return all elements as curves, output by output."""
+        """Return all entries as curves, output by output."""
         return self._curves
 
     def __len__(self) -> int:
@@ -235,7 +235,7 @@ class ResponseValues(Result):
         return iter(self._curves)
 
     def __contains__(self, key: object) -> bool:
-        """Return whether a name selects a response, or a curve is one of the elements."""
+        """Return whether a name selects a response, or a curve is one of the entries."""
         if not isinstance(key, str | tuple):
             return any(curve is key for curve in self._curves)
         try:
@@ -245,7 +245,7 @@ class ResponseValues(Result):
         return True
 
     def __getitem__(self, key: int | str | slice | tuple[str, str]) -> Self:
-        """Select an element by its index, outputs by name or slice, an input by its name.
+        """Select an entry by its index, outputs by name or slice, an input by its name.
 
         Raises `SceneError` for an unknown name or a key of a different type, `IndexError` for an index out of range.
         """
@@ -266,20 +266,20 @@ class ResponseValues(Result):
         return self._curves[index] if len(self.inputs) == 1 else self._select([index], range(len(self.inputs)))
 
     def _select(self, outputs: Sequence[int], inputs: Sequence[int], keep_axes: bool = False) -> Self:
-        """Select elements; a single element becomes a curve unless `keep_axes`."""
+        """Select entries; a single entry becomes a curve unless `keep_axes`."""
         if self.is_curve:
             return self
         is_single = len(outputs) == len(inputs) == 1 and not keep_axes
         selection = (
             (slice(None), outputs[0], inputs[0]) if is_single else np.ix_(range(self.frequency.size), outputs, inputs)
         )
-        elements = [i * len(self.inputs) + k for i in outputs for k in inputs]
+        entries = [i * len(self.inputs) + k for i in outputs for k in inputs]
         return replace(
             self,
             value=self.value[selection],
             outputs=tuple(self.outputs[k] for k in outputs),
             inputs=tuple(self.inputs[k] for k in inputs),
-            uncertainty=self.uncertainty.select(selection, elements),
+            uncertainty=self.uncertainty.select(selection, entries),
             coherence=self.coherence[:, outputs[0] if is_single else list(outputs)],
         )
 
@@ -291,16 +291,21 @@ class ResponseValues(Result):
         """Return the `loading` at values between the lines of an ordered curve, where a damper starts to move there.
 
         The lines do not determine such a value: it is higher than both neighboring lines, and was interpolated from
-        linear motion. Elsewhere 0.
+        at least one line of linear motion. Elsewhere 0.
         """
         if self.loading is None:
             return np.zeros(frequency.size)
-        above = np.clip(np.searchsorted(self.frequency, frequency), 1, self.frequency.size - 1)
-        neighbors = np.stack([above - 1, above])
         with np.errstate(divide="ignore", invalid="ignore"):
-            loading = magnitude * np.interp(frequency, self.frequency, self.loading / abs(self.value))
-        is_linear = self.loading[neighbors].min(axis=0) < 1.0
-        is_higher = magnitude > (1.0 + _MAX_EXCESS) * abs(self.value[neighbors]).max(axis=0)
+            ratio = self.loading / abs(self.value)
+        is_known = np.isfinite(ratio)
+        if is_known.sum() < 2:
+            return np.zeros(frequency.size)
+        lines, value, at_lines = self.frequency[is_known], abs(self.value[is_known]), self.loading[is_known]
+        above = np.clip(np.searchsorted(lines, frequency), 1, lines.size - 1)
+        neighbors = np.stack([above - 1, above])
+        loading = magnitude * np.interp(frequency, lines, ratio[is_known])
+        is_linear = at_lines[neighbors].min(axis=0) < 1.0
+        is_higher = magnitude > (1.0 + _MAX_EXCESS) * value[neighbors].max(axis=0)
         return np.where((loading > 1.0) & is_linear & is_higher, loading, 0.0)
 
     def with_gaps(self) -> Self:

@@ -330,3 +330,31 @@ def test_damper_in_flight_between_points_is_reported(tmp_path) -> None:
     assert "the peak between the points" not in remarks[1] and "times the motion" in remarks[1]
     with pytest.raises(rig.SceneError, match="do not resolve the response"):
         response.interpolated(17.6)
+
+
+@pytest.mark.parametrize("is_linear", [True, False])
+def test_text_names_linear_points_only_if_linear(is_linear) -> None:
+    f = 10.0 + 0.25 * (np.arange(-8, 8) + 0.4)
+    value = two_modes(f, 10.0, 0.01)
+    loading = abs(value) / abs(value).max() * (0.9 if is_linear else 1.1)
+    text = " ".join(describe_frfs([replace(measured_curve(f, value, 1e-4), loading=loading)]))
+    assert ("the points are linear motion" in text) == is_linear
+    assert ("acts at some of these points" in text) != is_linear
+    assert ("reduce the level" in text) == is_linear
+
+
+def test_missing_line_keeps_peak_beyond_take_off() -> None:
+    f = 10.0 + 0.25 * (np.arange(-8, 8) + 0.4)
+    value = two_modes(f, 10.0, 0.01)
+    curve = replace(measured_curve(f, value, 1e-4), loading=0.9 * abs(value) / abs(value).max())
+    f, value, loading = (np.insert(column, 8, gap) for column, gap in ((f, 10.02), (value, np.nan), (curve.loading, 0)))
+    for incomplete in (curve, replace(measured_curve(f, value, 1e-4), loading=loading)):
+        with pytest.raises(rig.SceneError, match="do not resolve the response"):
+            incomplete.interpolated(10.0)
+
+
+@pytest.mark.parametrize("count", [0, 1])
+def test_few_lines_have_no_loading_between(count: int) -> None:
+    lines = np.arange(10.0, 10.0 + count)
+    curve = replace(measured_curve(lines, 1e-4 + 0j * lines), loading=0.5 + 0.0 * lines)
+    assert curve.loading_beyond(np.array([10.0]), np.array([1.0])).tolist() == [0.0]

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from analysis.core.responses.errors.budget import Quotient
 from analysis.core.responses.errors.random_errors import MeanErrors, SharedErrors
-from analysis.core.responses.errors.ringing import ringing
+from analysis.core.responses.errors.ringing import hidden_transient, ringing
 from analysis.core.responses.errors.scatter import Scatter, moderate
 from analysis.core.responses.errors.systematic import RESOLUTION, UNSETTLED
 from analysis.core.responses.measurands import Measurand, reject_zero_reference
@@ -68,6 +68,7 @@ class Lines:
     resolution: Array | None = None
     # waits before the windows, and lengths of the windows of successive tones [s], each of shape (n,)
     timing: tuple[Array, Array] | None = None
+    accepted_transient: float = 0.0  # largest relative transient of feedback at the start of a window
     inputs: tuple[str, ...] = ()  # channels of several inputs, in the order of the rows
 
     def frf(
@@ -114,6 +115,10 @@ class Lines:
         if self.timing is not None:
             free_vibration = ringing(value, self.frequency, *self.timing, error)
             limits[UNSETTLED] = np.maximum(limits.get(UNSETTLED, 0.0), free_vibration)
+            if self.accepted_transient:
+                limits[UNSETTLED] += hidden_transient(
+                    value, self.frequency, self.timing[1], error, self.accepted_transient
+                )
         with np.errstate(invalid="ignore", divide="ignore"):
             averages = 1.0 + scatter.degrees_of_freedom / 2.0
             unexplained = variance / abs(value) ** 2

@@ -95,10 +95,18 @@ class _PhaseTone(RepeatingTone):
             counts = abs(measured.force) / count
             if counts < _MIN_COUNTS:
                 return f"the force is {counts:.2g} counts of the converter. Use a more sensitive force sensor."
+        cause = (
+            f". No resonance lies between {test.from_:g} and {test.to:g} Hz, the damping falls too fast with the "
+            "amplitude (test constant_response), or the motion is irregular."
+        )
+        if abs(self.loop.error(measured.phase)) <= test.tolerance:
+            cause = (
+                ", but phase, motion or force is not steady. The motion may be irregular. Choose another level, or "
+                "increase test.settle.longest or test.settle.tolerance."
+            )
         return (
             f"no lock within {test.settle.longest:g} s: the phase is {math.degrees(measured.phase):.0f}° at "
-            f"{self.frequency:.4g} Hz. No resonance lies between {test.from_:g} and {test.to:g} Hz, the damping falls "
-            "too fast with the amplitude (test constant_response), or the motion is irregular."
+            f"{self.frequency:.4g} Hz{cause}"
         )
 
 

@@ -184,6 +184,13 @@ def test_device_gives_equal_markers() -> None:
     assert delayed[0]["settled"] and delayed[0]["frequency"] == pytest.approx(48.91, abs=0.01)
 
 
+def test_unsteady_resonance_is_distinguished(tmp_path: Path) -> None:
+    test = {**TEST, "force": 0.5, "settle": {"longest": "5 s", "tolerance": 1e-12}}
+    scene = rig.load("held-response").replace(test=test)
+    with pytest.raises(RunError, match=r"the phase is -90° at 48\.9. Hz, but phase, motion or force is not steady"):
+        daq.record(scene, tmp_path / "unsteady.mcap")
+
+
 def test_missing_resonance_gives_up(tmp_path: Path) -> None:
     changes = {"frequency": "20 Hz", "from": "18 Hz", "to": "22 Hz", "force": 0.5, "settle": {"longest": "5 s"}}
     scene = rig.load("held-response").replace(test={**TEST, **changes})

@@ -6,10 +6,13 @@ response. Around each point, a ratio of two polynomials in frequency is fitted t
 Transactions on Automatic Control 4 (1959) 37-43); the poles of this ratio are the poles of the neighboring resonances.
 """
 
+from collections.abc import Iterator
+
 import numpy as np
 from numpy.polynomial import polynomial
 
 from rig.core.base.arrays import Array, ComplexArray
+from rig.core.results.uncertainty import COVERAGE_FACTOR
 
 # Number of points of a local fit with two poles: more than its unknowns, and few enough to stay near the resonance.
 _POINTS_TWO_POLES = 7
@@ -44,13 +47,51 @@ def ringing(value: ComplexArray, frequency: Array, wait_s: Array, window_s: Arra
     >>> float((rings / abs(value))[12].round(4))
     0.0018
     """
-    deviation = np.zeros(frequency.size)
-    omega = 2.0 * np.pi * frequency
-    n_points = _POINTS_TWO_POLES if frequency.size >= _POINTS_TWO_POLES else _POINTS_ONE_POLE
-    if frequency.size < n_points or not np.diff(omega).all():
-        return deviation
-    for k in range(1, frequency.size):
-        first = min(max(k - n_points // 2, 0), frequency.size - n_points)
+    deviation, omega = np.zeros(frequency.size), 2.0 * np.pi * frequency
+    for k, noise, pole, residue in _poles_near_lines(value, omega, error):
+        distance = 1j * omega[k] - pole
+        change = abs(residue) * abs(1.0 / distance - 1.0 / (1j * omega[k - 1] - pole))
+        is_significant = change > max(noise, _ROUNDING_RATIO * abs(value[k]))
+        relevant = is_significant & (k > 0)
+        wait = max(wait_s[k] - _TRANSITION_RATIO * window_s[k], 0.0)
+        exponent = -distance[relevant] * window_s[k]
+        amplitude = change[relevant] * np.exp(pole[relevant].real * wait)
+        deviation[k] = np.sum(amplitude * abs(np.expm1(exponent) / exponent))
+    return deviation
+
+
+def hidden_transient(value: ComplexArray, frequency: Array, window_s: Array, error: Array, accepted: float) -> Array:
+    """Compute the largest error of each point of a response due to a transient that noise hides.
+
+    A transient ``c exp(l t)`` shifts the mean over the window by c m, where m is the mean of the exponential. Noise in
+    the window limits the standard uncertainty of c, by least squares, to `error` / s, where s is the standard deviation
+    of the exponential. `accepted`: largest relative transient after the wait; other arguments as in `ringing`.
+
+    >>> frequency = np.linspace(18.5, 19.5, 25)
+    >>> value = 1.0 / (2j * np.pi * frequency - (-1.0 + 2j * np.pi * 19.0))
+    >>> hidden = hidden_transient(value, frequency, np.ones(25), np.full(25, 1e-5), 1e-3)
+    >>> [round(float(error), 6) for error in hidden[[0, 12]]]
+    [2e-05, 7e-05]
+    """
+    hidden, omega = COVERAGE_FACTOR * error, 2.0 * np.pi * frequency
+    for k, _, pole, _ in _poles_near_lines(value, omega, error):
+        exponent = (pole - 1j * omega[k]) * window_s[k]
+        mean = abs(np.expm1(exponent) / exponent)
+        mean_square = np.expm1(2.0 * exponent.real) / (2.0 * exponent.real)
+        variance = np.maximum(mean_square - mean**2, _ROUNDING_RATIO * mean_square)
+        hidden[k] *= np.max(mean / np.sqrt(variance), initial=1.0)
+    return np.fmin(hidden, accepted * abs(value))
+
+
+def _poles_near_lines(
+    value: ComplexArray, omega: Array, error: Array
+) -> Iterator[tuple[int, float, ComplexArray, ComplexArray]]:
+    """Yield each line with poles near it: its number, the noise of the fit, the poles [rad/s] and their residues."""
+    n_points = _POINTS_TWO_POLES if omega.size >= _POINTS_TWO_POLES else _POINTS_ONE_POLE
+    if omega.size < n_points or not np.diff(omega).all():
+        return
+    for k in range(omega.size):
+        first = min(max(k - n_points // 2, 0), omega.size - n_points)
         neighborhood = slice(first, first + n_points)
         if not (np.isfinite(value[neighborhood]).all() and value[neighborhood].any()):
             continue
@@ -58,16 +99,11 @@ def ringing(value: ComplexArray, frequency: Array, wait_s: Array, window_s: Arra
         max_residual = max(noise, _MIN_RESIDUAL_RATIO * float(abs(value[neighborhood]).max()))
         pole, residue = _local_poles(value[neighborhood], omega[neighborhood], omega[k], max_residual)
         distance = 1j * omega[k] - pole
-        change = abs(residue) * abs(1.0 / distance - 1.0 / (1j * omega[k - 1] - pole))
         is_near = abs(distance.imag) < _MAX_HALF_WIDTHS * abs(distance.real)
-        is_resolved = abs(omega[k] - omega[k - 1]) < _MAX_SPACING_RATIO * abs(distance)
-        is_significant = change > max(noise, _ROUNDING_RATIO * abs(value[k]))
-        relevant = (pole.real < 0.0) & is_near & is_resolved & is_significant
-        wait = max(wait_s[k] - _TRANSITION_RATIO * window_s[k], 0.0)
-        exponent = -distance[relevant] * window_s[k]
-        amplitude = change[relevant] * np.exp(pole[relevant].real * wait)
-        deviation[k] = np.sum(amplitude * abs(np.expm1(exponent) / exponent))
-    return deviation
+        is_resolved = abs(omega[k] - omega[max(k - 1, 0)]) < _MAX_SPACING_RATIO * abs(distance)
+        relevant = (pole.real < 0.0) & is_near & is_resolved
+        if relevant.any():
+            yield k, noise, pole[relevant], residue[relevant]
 
 
 def _local_poles(

@@ -21,6 +21,7 @@ class ConstantResponse(SteppedTest):
 
     level_keys: ClassVar = ("displacement", "velocity", "acceleration")
     one_of: ClassVar = (level_keys, ("frequencies", "points"))
+    follows_motion: ClassVar = True
     kind: Literal["constant_response"] = "constant_response"
     at: BodyLocation
     """The body whose motion has the constant amplitude: body 3, or its name."""

@@ -21,6 +21,7 @@ class Continuation(KindOfTest):
     kind: Literal["continuation"] = "continuation"
     recorded_as: ClassVar = "tones"
     single_tone: ClassVar = True
+    follows_motion: ClassVar = True
     start: Start = "settled"
     from_: Frequency = Field(alias="from")
     """Frequency at which each curve begins, outside the resonance [Hz]."""

@@ -97,7 +97,8 @@ class KindOfTest(Settings):
     `level_keys`: alternative keys for the level of the test. `level_name`: quantity of the level, as text after its
     unit. `kind_title`: name of the kind in sentences, if not that of its key. `uses_shaker`: whether a shaker is
     driven. `single_tone`: whether the drive is one tone at a time. `controls_by_cell`: whether the controller uses a
-    force sensor at the shaker, if there is one, instead of the motion of both ends of the spring.
+    force sensor at the shaker, if there is one, instead of the motion of both ends of the spring. `follows_motion`:
+    whether feedback of the motion changes the tone until shortly before each measurement.
     """
 
     recorded_as: ClassVar[str]
@@ -107,6 +108,7 @@ class KindOfTest(Settings):
     uses_shaker: ClassVar[bool] = True
     single_tone: ClassVar[bool] = False
     controls_by_cell: ClassVar[bool] = True
+    follows_motion: ClassVar[bool] = False
 
     @classmethod
     def kind_name(cls) -> str:

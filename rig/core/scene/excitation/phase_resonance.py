@@ -30,6 +30,7 @@ class PhaseResonance(KindOfTest):
     kind: Literal["phase_resonance"] = "phase_resonance"
     recorded_as: ClassVar = "tones"
     single_tone: ClassVar = True
+    follows_motion: ClassVar = True
     start: Start = "settled"
     frequency: Frequency
     """First frequency, near the resonance [Hz]."""

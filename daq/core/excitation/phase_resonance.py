@@ -25,6 +25,9 @@ from rig.core.scene.scene import Scene
 _LOCKED_WINDOWS = 8
 # Largest mean deviation of a locked phase, relative to the tolerance, which its own scatter must not reach.
 _LOCKED_RATIO = 0.7
+# The phase of an unsteady motion deviates by at most this multiple of the tolerance from that of a resonance; in a band
+# without a resonance it deviates by more.
+_MAX_SCATTER_RATIO = 5.0
 # Maximum number of locks at a level: the phase can leave the tolerance again while the frequency is constant.
 _MAX_LOCKS = 4
 # Maximum number of changes of the drive at a level; more are needed only if the force jumps.
@@ -99,9 +102,9 @@ class _PhaseTone(RepeatingTone):
             f". No resonance lies between {test.from_:g} and {test.to:g} Hz, the damping falls too fast with the "
             "amplitude (test constant_response), or the motion is irregular."
         )
-        if abs(self.loop.error(measured.phase)) <= test.tolerance:
+        if abs(self.loop.error(measured.phase)) <= _MAX_SCATTER_RATIO * test.tolerance:
             cause = (
-                ", but phase, motion or force is not steady. The motion may be irregular. Choose another level, or "
+                "; phase, motion or force is not steady. The motion may be irregular. Choose another level, or "
                 "increase test.settle.longest or test.settle.tolerance."
             )
         return (

@@ -187,7 +187,7 @@ def test_device_gives_equal_markers() -> None:
 def test_unsteady_resonance_is_distinguished(tmp_path: Path) -> None:
     test = {**TEST, "force": 0.5, "settle": {"longest": "5 s", "tolerance": 1e-12}}
     scene = rig.load("held-response").replace(test=test)
-    with pytest.raises(RunError, match=r"the phase is -90° at 48\.9. Hz, but phase, motion or force is not steady"):
+    with pytest.raises(RunError, match=r"the phase is -90° at 48\.9. Hz; phase, motion or force is not steady"):
         daq.record(scene, tmp_path / "unsteady.mcap")
 
 

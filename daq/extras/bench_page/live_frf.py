@@ -53,7 +53,7 @@ class LiveCurves:
     value: ComplexArray  # compliance (displacement over force) [m/N]; (channels, frequencies)
     coherence: Array  # (channels, frequencies)
     relation: NDArray[np.intp]  # Index in `RELATIONS`; (channels, frequencies)
-    force: Array  # rms of the force in the blocks that excited a line [N]; NaN for impacts; (frequencies,)
+    force: Array  # rms of a tone, or of the force in the blocks that excited a line [N]; NaN: impacts; (frequencies,)
     count: NDArray[np.intp]  # averaged blocks or impacts of each line; (frequencies,)
 
     @property
@@ -147,7 +147,7 @@ class LiveFrf:
             block, limits = self._pending[:, : self._block_samples], self._pending_band[:, : self._block_samples]
             spectra = self._spectra((block - block.mean(axis=1, keepdims=True)) * self._hann_window)
             force, motion = self._force_and_motion(spectra)
-            power = 2.0 * np.sum(np.abs(force) ** 2) / (self._block_samples * np.sum(self._hann_window**2))
+            power = self._power(np.sum(np.abs(force) ** 2))
             # Before the measurement the limits are NaN; comparisons with NaN are false.
             lobe = _LOBE_LINES / (self._block_samples / self._rate)
             low, high = limits[0].min() - lobe, limits[1].max() + lobe
@@ -157,7 +157,7 @@ class LiveFrf:
             force_is_clipped = bool((relation >= RELATIONS.index("≤")).any())
             self.force_rms = None if force_is_clipped else float(np.sqrt(power))
             excited = (self.frequency >= low) & (self.frequency <= high)
-            self._block_sums.add(force, motion, relation, excited, float(power))
+            self._block_sums.add(force, motion, relation, excited, power)
             self._drop(self._block_samples // 2)
 
     def add_impact(self, impact: Impact) -> None:
@@ -185,6 +185,7 @@ class LiveFrf:
         if not sums.count.any():
             return None
         mean_force = sums.force / np.maximum(sums.count, 1)
+        power = np.where(sums.count, sums.force_power, np.nan) / np.maximum(sums.count, 1)
         excited = mean_force > _EXCITED_RATIO * mean_force.max()
         if self._impacts:
             # A pulse excites the band below the first zero of its spectrum.
@@ -192,10 +193,12 @@ class LiveFrf:
             beyond = np.flatnonzero(~excited[strongest:])
             excited[strongest + beyond[0] if beyond.size else excited.size :] = False
         else:
-            # A few successive lines are the main lobe of a tone, which is measured at the largest of them.
+            # A few successive lines are the main lobe of a tone, which is measured at the largest of them and has the
+            # power of its lobe.
             for (lobe,) in scipy.ndimage.find_objects(scipy.ndimage.label(excited)[0]):
                 if lobe.stop - lobe.start <= 2.0 * _LOBE_LINES:
                     excited[lobe] = mean_force[lobe] == mean_force[lobe].max()
+                    power[lobe] = self._power(mean_force[lobe].sum())
         force = np.where(excited, sums.force, np.nan)
         with np.errstate(divide="ignore", invalid="ignore"):
             # Without noise, rounding would exceed 1.
@@ -204,8 +207,12 @@ class LiveFrf:
         coherence[:, sums.count < _MIN_COHERENCE_AVERAGES] = np.nan
         for row, first in enumerate(self._first_determined()):
             value[row, :first] = coherence[row, :first] = np.nan
-        rms = np.sqrt(np.where(excited, sums.force_power, np.nan) / np.maximum(sums.count, 1))
+        rms = np.sqrt(np.where(excited, power, np.nan))
         return LiveCurves(self.names, self.frequency, value, coherence, sums.relation, rms, sums.count)
+
+    def _power(self, sum_of_squares: float) -> float:
+        """Return the power of a windowed signal [N²] from the sum of the squares of its spectrum."""
+        return float(2.0 * sum_of_squares / (self._block_samples * np.sum(self._hann_window**2)))
 
     def _first_determined(self) -> list[int]:
         """Return the first line of each response to accepted impacts that the end of the window does not dominate."""

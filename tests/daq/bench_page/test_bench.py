@@ -317,14 +317,18 @@ def test_peak_of_one_channel_alone_is_no_mode():
 
 
 @pytest.mark.parametrize("bench", ["sweep"], indirect=True)
-def test_client_tone_is_one_line(bench):
+def test_client_tones_are_single_lines_with_their_rms(bench):
     bench.controller.start_client_estimate()
     frf = bench.monitor.frf
     time = np.arange(8 * round(frf._rate)) / frf._rate
-    readings = np.tile(np.sin(2.0 * np.pi * 34.3 * time), (len(bench.monitor.channels), 1))
+    tones = np.sin(2.0 * np.pi * 34.3 * time) + 0.5 * np.sin(2.0 * np.pi * 80.0 * time)
+    readings = np.tile(tones, (len(bench.monitor.channels), 1))
     frf.add(readings, np.zeros(readings.shape, bool), (0.0, 400.0))
     curves = frf.curves()
-    assert curves.frequency[np.isfinite(curves.value[0])].tolist() == [34.0]
+    assert curves.frequency[np.isfinite(curves.value[0])].tolist() == [34.0, 80.0]
+    # The weights correct the force for the response of its channel.
+    weights = np.abs(frf._channel_weights[2, np.searchsorted(frf.frequency, [34.0, 80.0])])
+    assert np.sqrt(2.0) * curves.force[np.isfinite(curves.force)] == pytest.approx([1.0, 0.5] * weights, rel=2e-3)
 
 
 def test_damping_interval_contains_the_true_value():

@@ -181,9 +181,9 @@ const DECADES = 2.5;
 const COHERENT_PHASE = 0.9, RUN = 12;
 const PIECE = 4; // lines of the shortest drawn piece of a phase between two wraps
 
-// The force of the lines that NI clients excite: the largest rms, or the amplitude of a tone.
+// The force of the lines that NI clients excite: the largest rms, or the amplitude of the largest of a few tones.
 function clientForce({ force }) {
-  const known = force.filter(isFinite), isTone = known.length === 1;
+  const known = force.filter(isFinite), isTone = known.length < FEW;
   return known.length ? `NI clients, ${digits(Math.max(...known) * (isTone ? Math.SQRT2 : 1), 3)} N ${isTone ? "amplitude" : "rms"}` : "";
 }
 

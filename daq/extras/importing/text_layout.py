@@ -289,14 +289,15 @@ def _with_complex_columns(layout: Layout, parts: Sequence[Sequence[str]]) -> Lay
     """Replace each column of complex numbers by two: the real and imaginary parts."""
     included = layout.cells or tuple(range(len(parts)))
     starts = [0, *accumulate(map(len, parts))]
-    names, units, cells = [], [], list[int]()
-    for name, unit, position in zip(layout.names, layout.units, included, strict=True):
+    names, units, cells = list[str](), list[str](), list[int]()
+    for number, (name, unit, position) in enumerate(zip(layout.names, layout.units, included, strict=True), 1):
         is_complex = len(parts[position]) > 1
-        names += [f"{name} real", f"{name} imag"] if is_complex else [name]
+        if name == UNNAMED.format(number):
+            names += [UNNAMED.format(len(names) + k) for k in range(1, 2 + is_complex)]
+        else:
+            names += [f"{name} real", f"{name} imag"] if is_complex else [name]
         units += [unit] * (1 + is_complex)
         cells += range(starts[position], starts[position + 1])
-    if layout.names[-1] == UNNAMED.format(len(included)):
-        names = [UNNAMED.format(number) for number in range(1, len(names) + 1)]
     return layout._replace(names=names, units=units, cells=tuple(cells) if layout.cells else None, has_complex=True)
 
 

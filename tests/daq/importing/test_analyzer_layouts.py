@@ -154,6 +154,13 @@ def test_complex_number_without_heading_is_read(tmp_path: Path) -> None:
     np.testing.assert_allclose(curve.value, ACCELERANCE, rtol=1e-7)
 
 
+def test_unnamed_complex_column_leaves_other_names(tmp_path: Path) -> None:
+    rows = (f"{k / 10}\t{k}.25\t{k}.1-2.5i\n" for k in range(6))
+    (tmp_path / "a.txt").write_text("t (s)\tb\t\n" + "".join(rows))
+    with ExitStack() as stack:
+        assert [signal.name for signal in text_signals(tmp_path / "a.txt", stack)] == ["b", "column 3", "column 4"]
+
+
 @pytest.mark.filterwarnings("ignore:.* the table has no times")
 @pytest.mark.parametrize(
     ("heading", "row"),

@@ -62,18 +62,22 @@ def check_timing(task: TaskSettings) -> None:
                 Code.ROUTE_NOT_SUPPORTED_BY_HW_ROUTING,
             )
         rates = {
-            channel.module.coerced_rate(timing["samp_clk_rate"], task.direction == "ao") for channel in task.channels
+            channel.module: channel.module.coerced_rate(timing["samp_clk_rate"], task.direction == "ao")
+            for channel in task.channels
         }
-        if len(rates) > 1:
+        clock_rates = {rates[module] for module in task.clock_modules}
+        if len(clock_rates) > 1:
             raise invalid_value(
                 f"the task's modules coerce {timing['samp_clk_rate']:g} S/s to different rates, "
-                f"{', '.join(f'{rate:g}' for rate in sorted(rates))} S/s. Use several tasks, or a rate "
+                f"{', '.join(f'{rate:g}' for rate in sorted(clock_rates))} S/s. Use several tasks, or a rate "
                 "that all modules support."
             )
         if task.direction == "ai" and task.rate > task.max_rate * (1 + 1e-6):
+            modules = [channel.module for channel in task.channels]
+            slowest = min(modules, key=lambda module: module.max_rate(modules.count(module)))
             raise DaqError(
-                f"the converter of {task.device_names[0]} converts one channel after the other, at "
-                f"{task.max_rate:g} S/s at most with {len(task.channels)} channels; {task.rate:g} S/s were requested. "
+                f"the converter of {slowest.name} converts one channel after the other, at {task.max_rate:g} S/s at "
+                f"most with {modules.count(slowest)} channels; {task.rate:g} S/s were requested. "
                 "Reduce the sample rate or the number of channels.",
                 Code.SAMPLE_RATE_NUM_CHANS_CONVERT_PERIOD_COMBO,
             )

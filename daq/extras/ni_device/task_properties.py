@@ -72,7 +72,7 @@ def set_value(task: Task, group: str, name: str, value: Any) -> None:
     value = coerce(name, value, settings[name])
     if name == "samp_clk_rate" and task.settings.channels:
         # The call raises an error for an impossible rate.
-        task.settings.channels[0].module.coerced_rate(value, output=task.settings.direction == "ao")
+        _module(task).coerced_rate(value, output=task.settings.direction == "ao")
     if name == "channels_to_read":
         task.settings.find(value)  # The call raises an error for a missing channel.
     if name.endswith("_buf_size") and value < 0:
@@ -170,7 +170,7 @@ def _module(task: Task) -> Module:
     """Return the module that provides the sample clock. Raises `DaqError` -200478 if the task has no channels."""
     if not task.settings.channels:
         raise DaqError("the task has no channels. Add a channel first.", Code.CAN_NOT_PERFORM_OP_WHEN_NO_CHANS_IN_TASK)
-    return task.settings.channels[0].module
+    return task.settings.clock_modules[0]
 
 
 def _timebase(task: Task) -> float:

@@ -120,14 +120,18 @@ class NidaqmxBench:
 
     def reset(self, keep: Collection[str] = ()) -> None:
         """Close all tasks, except those named in `keep`, and end all faults; warn of faults that have not occurred."""
-        for unused in self.faults.reset():
-            warnings.warn(f"{unused} has had no effect: the program made too few calls.", stacklevel=2)
+        unused_faults = self.faults.reset()
         self.grpc_options.close_tasks(keep)
+        # If warnings are errors, the first ends this method.
+        for unused in unused_faults:
+            warnings.warn(f"{unused} has had no effect: the program made too few calls.", stacklevel=2)
 
     def close(self) -> None:
         """Close the bench and all its tasks."""
-        self.reset()
-        self.grpc_options.close(grace=None)
+        try:
+            self.reset()
+        finally:
+            self.grpc_options.close(grace=None)
 
     def __enter__(self) -> Self:
         return self

@@ -65,10 +65,14 @@ class ModuleDescription(Settings):
     family: Literal["c_series", "usb"] = "usb"
     """Whether it is a module in a chassis (c_series), or a separate device (usb, also for PCI and PXI)."""
     timebase: Annotated[float, Quantity(FREQUENCY, above=0.0)] | None = None
-    """Clock that the sample clocks divide [Hz]; None: 80 MHz in a chassis, 20 MHz of a separate device."""
+    """Clock that the sample clocks divide [Hz]; None: that of the chassis, or 20 MHz of a separate device."""
     inputs: Annotated[int, Field(ge=0, le=1000)] = 0
     """Number of analog inputs."""
-    terminals: tuple[Literal["rse", "nrse", "differential"], ...] = ("rse", "nrse", "differential")
+    terminals: Annotated[tuple[Literal["rse", "nrse", "differential"], ...], Field(min_length=1)] = (
+        "rse",
+        "nrse",
+        "differential",
+    )
     """Terminal configurations of the inputs; the last is the default."""
     aggregate: SampleRate | None = None
     """Highest total sample rate of inputs that share a converter [Hz]; None: simultaneous inputs."""
@@ -108,7 +112,7 @@ class ModuleDescription(Settings):
                 device = with_outputs(device, sheet, sheet.outputs)
             counts = [0 if channels is None else channels.channels for channels in (sheet.inputs, sheet.outputs)]
         else:
-            timebase = self.timebase or (_CHASSIS_TIMEBASE_HZ if self.family == "c_series" else _USB_TIMEBASE_HZ)
+            timebase = self.timebase or (None if self.family == "c_series" else _USB_TIMEBASE_HZ)
             device = Module(
                 "",
                 self.product_type,
@@ -120,10 +124,7 @@ class ModuleDescription(Settings):
                 aggregate_rate=self.aggregate,
                 output_range=self.output_range,
                 output_bits=self.output_bits,
-                # In a chassis, the timebase of outputs may be that of another module; their rates remain exact.
-                output_rates=Rates(
-                    _SLOWEST_HZ, self.output_fastest, timebase=None if self.family == "c_series" else timebase
-                ),
+                output_rates=Rates(_SLOWEST_HZ, self.output_fastest, timebase=timebase),
                 couplings=(Coupling.DC,),
                 terminal_configurations=tuple(TerminalConfiguration[name.upper()] for name in self.terminals),
                 currents=(),
@@ -266,7 +267,7 @@ def wired_bench(
         description = BenchDescription.model_validate(content)
     except ValidationError as error:
         raise SceneError(describe(problems_of(error), where, line)) from None
-    modules = _named_modules(description)
+    modules = _with_chassis_timebase(_named_modules(description))
     slots = _SLOTS[description.chassis]
     if surplus := next((device.name for device in modules if device.slot > slots), None):
         raise SceneError(
@@ -317,6 +318,29 @@ def _named_modules(description: BenchDescription) -> list[Module]:
         chassis[name] = Module(name, description.chassis, category=CHASSIS_CATEGORY, bus=USB_BUS)
         modules[index] = replace(device, chassis=name, slot=slot)
     return [*chassis.values(), *modules]
+
+
+def _with_chassis_timebase(modules: Sequence[Module]) -> list[Module]:
+    """Let the sample clocks of C Series modules divide the timebase of their chassis.
+
+    Next to delta-sigma modules, which have a timebase of their own, the rates of other modules remain exact: inputs and
+    outputs of the same requested rate do not drift apart.
+    """
+    delta_sigma = {
+        device.chassis
+        for device in modules
+        if (device.inputs and device.rates.available) or (device.outputs and device.output_rates.available)
+    }
+
+    def dividing(rates: Rates) -> Rates:
+        return replace(rates, timebase=rates.timebase or _CHASSIS_TIMEBASE_HZ)
+
+    return [
+        replace(device, rates=dividing(device.rates), output_rates=dividing(device.output_rates))
+        if device.chassis and device.chassis not in delta_sigma
+        else device
+        for device in modules
+    ]
 
 
 def find_channel(modules: Iterable[Module], name: str, direction: str, where: str) -> tuple[str, int]:

@@ -41,8 +41,9 @@ class Faults:
         """Let a call fail once with an error code of the driver, such as -200284 (timeout).
 
         `call` is "start", "read" or "write"; `after` is the number of calls that succeed before the failing call. The
-        task continues as with hardware: before a read that fails with -200279, the buffer overflows; -200361 ends the
-        acquisition. Raises `SceneError` for an unknown call, an unknown code, or a negative number of calls.
+        task continues as with hardware: before a read that fails with -200279, the buffer overflows, and later reads
+        fail too if time passes before them, until the task is started again; -200361 ends the acquisition. Raises
+        `SceneError` for an unknown call, an unknown code, or a negative number of calls.
         """
         if call not in CALLS:
             raise SceneError(f"there is no call {call!r}. Choose {', '.join(CALLS)}.")

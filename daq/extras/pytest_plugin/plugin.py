@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING, Any
 
@@ -12,9 +12,8 @@ if TYPE_CHECKING:
     from daq.extras.pytest_plugin.bench import NidaqmxBench
 
 _session_bench = pytest.StashKey[ExitStack]()
-# Tasks that were open on each bench when a test began: those of fixtures.
-_open_before = pytest.StashKey[dict["NidaqmxBench", list[str]]]()
-_benches_in_use: list[NidaqmxBench] = []
+# Names of the tasks on each bench that remain open after the test: those of fixtures of longer scope.
+_benches_in_use: dict[NidaqmxBench, set[str]] = {}
 _DESCRIPTION = (
     "modules such as 'NI 9234, NI 9263', a YAML file with modules, wires and sources, or a scene (default: NI 9234, "
     "NI 9263)"
@@ -44,16 +43,31 @@ def pytest_load_initial_conftests(early_config: pytest.Config) -> None:
 
 
 @pytest.hookimpl(tryfirst=True)  # type: ignore[untyped-decorator]
-def pytest_runtest_call(item: pytest.Item) -> None:
-    """Note the open tasks of fixtures, before the test runs."""
-    item.stash[_open_before] = {bench: bench.open_tasks for bench in _benches_in_use}
+def pytest_runtest_setup() -> None:
+    """Note the tasks that are open before the fixtures of a test are set up."""
+    _benches_in_use.update({bench: set(bench.open_tasks) for bench in _benches_in_use})
 
 
-@pytest.hookimpl(trylast=True)  # type: ignore[untyped-decorator]
-def pytest_runtest_teardown(item: pytest.Item) -> None:
+@pytest.hookimpl(wrapper=True)  # type: ignore[untyped-decorator]
+def pytest_fixture_setup(fixturedef: pytest.FixtureDef[Any]) -> Generator[None, object, object]:
+    """Note the tasks that a fixture of longer scope opens, also if a test requests it while it runs."""
+    before = {bench: bench.open_tasks for bench in _benches_in_use}
+    result = yield
+    if fixturedef.scope != "function":
+        for bench, kept in _benches_in_use.items():
+            kept.update(set(bench.open_tasks).difference(before.get(bench, ())))
+    return result
+
+
+@pytest.hookimpl(wrapper=True)  # type: ignore[untyped-decorator]
+def pytest_runtest_teardown() -> Generator[None, None, None]:
     """Close the tasks that a test has left open on a bench of longer scope, and end the faults."""
-    for bench in _benches_in_use if _open_before in item.stash else ():
-        bench.reset(item.stash[_open_before].get(bench, ()))
+    try:
+        yield
+    finally:
+        with ExitStack() as stack:  # resets all benches, also if one warns and warnings are errors
+            for bench, kept in _benches_in_use.items():
+                stack.callback(bench.reset, kept)
 
 
 @pytest.fixture  # type: ignore[untyped-decorator]
@@ -107,9 +121,9 @@ def _bench_in_use(bench: Any, **settings: Any) -> Iterator[NidaqmxBench]:
             patch.setattr("time.sleep", opened.sleep)
             for owner, name, value in opened.callback_waits.replacements():
                 patch.setattr(owner, name, value)
-        _benches_in_use.append(opened)
+        _benches_in_use[opened] = set()
         try:
             yield opened
         finally:
-            _benches_in_use.remove(opened)
+            del _benches_in_use[opened]
             client_defaults.disconnect(opened.address)

@@ -246,6 +246,7 @@ def test_names_are_those_of_description(open_for_test):
         (["NI 9234", "NI 9234"], {"sources": {"ai1": 1}}, "ambiguous. Choose cDAQ1Mod1/ai1 or cDAQ1Mod2/ai1"),
         (TWO_MODULES, {"wires": ["ao0 -> ai0"], "sources": {"ai0": "1 V"}}, "ai0 is connected twice"),
         (TWO_MODULES, {"sources": {"ai0": "1 kg"}}, 'sources.ai0.offset: got "1 kg"; expected a voltage'),
+        ([{"product_type": "X", "inputs": 1, "terminals": []}], {}, "terminals: got .*a list of length 1 or more"),
         ({"modules": {"Dev1": 7}}, {}, r"modules\[1\].product_type: got 7"),
         ({"modules": {"Dev1": "USB-6001", "dev1": "USB-6002"}}, {}, "'Dev1' is the name of two devices"),
         ({"modules": {"mine": "NI 9234"}}, {}, "NI 9234 is in a chassis, which its name 'mine' does not state"),
@@ -336,6 +337,43 @@ def test_output_follows_clock_of_inputs(open_for_test):
         assert np.array(inputs.read(20_000)) == pytest.approx(volts, abs=4e-4)  # 16 bits of ±10 V
 
 
+@pytest.mark.parametrize("follower", ["NI 9215", "NI 9205"])
+@pytest.mark.parametrize("order", [1, -1])
+def test_delta_sigma_module_determines_common_rate(open_for_test, follower, order):
+    bench = open_for_test(["NI 9234", follower], sources={"cDAQ1Mod1/ai0": "1 V", "cDAQ1Mod2/ai0": "2 V"})
+    with task_on(bench) as task:
+        for name in ("cDAQ1Mod1/ai0", "cDAQ1Mod2/ai0")[::order]:
+            task.ai_channels.add_ai_voltage_chan(name, min_val=-5.0, max_val=5.0).ai_coupling = Coupling.DC
+        task.timing.cfg_samp_clk_timing(10_000.0, samps_per_chan=10)
+        assert task.timing.samp_clk_rate == 10240.0
+        assert (task.timing.samp_clk_timebase_rate, task.timing.samp_clk_timebase_div) == (13.1072e6, 1280)
+        assert np.mean(task.read(10), axis=1) == pytest.approx([1.0, 2.0][::order], abs=1e-3)
+
+
+@pytest.mark.parametrize("modules", [["NI 9215", "NI 9263"], ["NI 9215", "NI 9264"], ["NI 9215", "NI 9263", "NI 9234"]])
+def test_modules_of_chassis_stay_synchronous(open_for_test, modules):
+    bench = open_for_test(modules, wires=["ao0 -> cDAQ1Mod1/ai0"])
+    with task_on(bench) as inputs, task_on(bench) as outputs:
+        inputs.ai_channels.add_ai_voltage_chan("cDAQ1Mod1/ai0")
+        outputs.ao_channels.add_ao_voltage_chan("cDAQ1Mod2/ao0")
+        for task in (inputs, outputs):
+            task.timing.cfg_samp_clk_timing(24_100.0, samps_per_chan=30_000)
+        assert inputs.timing.samp_clk_rate == outputs.timing.samp_clk_rate
+        outputs.triggers.start_trigger.cfg_dig_edge_start_trig("/cDAQ1/ai/StartTrigger")
+        volts = np.arange(30_000) * 3e-4
+        outputs.write(volts)
+        outputs.start()
+        assert np.array(inputs.read(30_000)) == pytest.approx(volts, abs=4e-4)  # 16 bits of ±10 V
+
+
+def test_output_rate_divides_timebase_of_chassis(open_for_test):
+    with task_on(open_for_test(["NI 9263"])) as task:
+        task.ao_channels.add_ao_voltage_chan("cDAQ1Mod1/ao0")
+        task.timing.cfg_samp_clk_timing(44_100.0, samps_per_chan=10)
+        assert (task.timing.samp_clk_timebase_rate, task.timing.samp_clk_timebase_div) == (80e6, 1814)
+        assert task.timing.samp_clk_rate == 80e6 / 1814
+
+
 def test_output_rate_is_at_most_fastest(open_for_test):
     with task_on(open_for_test(["PCIe-6361"])) as task:
         task.ao_channels.add_ao_voltage_chan("Dev1/ao0")
@@ -355,6 +393,14 @@ def test_shared_converter_limits_rate(open_for_test, device):
             assert task.timing.samp_clk_max_rate == 15625.0
             with nullcontext() if fits else raises_code(-200081, "15625 S/s at most with 16 channels"):
                 task.start()
+
+
+def test_limiting_converter_is_named(open_for_test):
+    with task_on(open_for_test(["NI 9215", "NI 9205"])) as task:
+        task.ai_channels.add_ai_voltage_chan("cDAQ1Mod1/ai0, cDAQ1Mod2/ai0:7")
+        task.timing.cfg_samp_clk_timing(50e3, samps_per_chan=10)
+        with raises_code(-200081, "cDAQ1Mod2 converts one channel after the other, at 31250 S/s at most with 8"):
+            task.start()
 
 
 @pytest.mark.parametrize(
@@ -474,6 +520,19 @@ def test_overwritten_samples_are_missing_afterwards(open_for_test):
         assert samples[0] == pytest.approx(1001 / RATE, abs=1e-6)
 
 
+def test_full_buffer_overflows_until_restart(open_for_test):
+    bench = open_for_test()
+    bench.faults.fail("read", -200279)
+    with continuous(bench) as task:
+        task.start()
+        for _ in range(2):
+            with raises_code(-200279):
+                task.read(10)
+            bench.sleep(10 / RATE)
+        task.stop()
+        assert len(task.read(10)) == 10
+
+
 def test_lost_samples_end_acquisition_until_restart(open_for_test):
     bench = open_for_test()
     bench.faults.fail("read", -200361, after=1)
@@ -546,6 +605,18 @@ def test_reset_ends_tasks_and_faults(open_for_test):
     with task_on(bench) as output:
         output.ao_channels.add_ao_voltage_chan("cDAQ1Mod2/ao0")
         output.write(1.0)
+
+
+def test_unused_fault_leaves_nothing_open():
+    bench = open_bench()
+    for end in (bench.reset, bench.close):
+        continuous(bench)
+        bench.faults.fail("read", -200279)
+        with pytest.raises(UserWarning, match="has had no effect"):
+            end()
+        assert bench.open_tasks == []
+    with pytest.raises(ValueError, match="closed channel"):
+        task_on(bench)
 
 
 def test_one_device_is_plugged_in(open_for_test):

@@ -155,6 +155,82 @@ def test_wrong_argument(nidaqmx_bench):
 
 
 @pytest.mark.thorough
+def test_failing_fixtures_leave_session_bench_clean(run_pytest):
+    source = """
+import nidaqmx
+import pytest
+
+tasks = []
+
+def leave_open():
+    tasks.append(nidaqmx.Task())
+    tasks[-1].ai_channels.add_ai_voltage_chan("cDAQ1Mod1/ai0")
+    tasks[-1].timing.cfg_samp_clk_timing(2048.0)
+    tasks[-1].start()
+
+@pytest.fixture(scope="session")
+def bench(nidaqmx_session_bench):
+    return nidaqmx_session_bench()
+
+@pytest.fixture
+def fails_afterwards(bench):
+    yield
+    raise RuntimeError
+
+@pytest.fixture
+def fails_before(bench):
+    leave_open()
+    bench.faults.unplug("cDAQ1Mod2")
+    raise RuntimeError
+
+@pytest.fixture
+def stays_open(bench):
+    leave_open()
+
+@pytest.mark.parametrize("fixture", ["fails_afterwards", "fails_before", "stays_open", "bench"])
+def test_fixture(request, fixture):
+    request.getfixturevalue(fixture)
+    if fixture != "stays_open":
+        leave_open()
+    tasks[-1].read(10)
+    assert "cDAQ1Mod2" in nidaqmx.system.System.local().devices.device_names
+
+def test_setup_error(fails_before):
+    pass
+
+def test_last(bench):
+    leave_open()
+    assert "cDAQ1Mod2" in nidaqmx.system.System.local().devices.device_names
+"""
+    result = run_pytest({"test_fixtures.py": source})
+    assert "1 failed, 4 passed, 2 errors" in result.stdout, result.stdout
+
+
+@pytest.mark.thorough
+def test_fixture_requested_late_keeps_task(run_pytest):
+    source = """
+import nidaqmx
+import pytest
+
+@pytest.fixture(scope="session")
+def task():
+    with nidaqmx.Task("late") as task:
+        task.ao_channels.add_ao_voltage_chan("cDAQ1Mod2/ao0")
+        yield task
+
+@pytest.mark.parametrize("number", [1, 2, 3])
+def test_late(request, number):
+    nidaqmx.Task(f"leak {number}")
+    request.getfixturevalue("task").write(1.0)
+
+def test_others_are_closed(request):
+    assert "late" not in [nidaqmx.Task(name).name for name in ("leak 1", "leak 2", "leak 3")]
+"""
+    result = run_pytest({"test_late.py": source}, "--nidaqmx")
+    assert "4 passed" in result.stdout, result.stdout
+
+
+@pytest.mark.thorough
 def test_child_processes_use_innermost_bench(run_pytest):
     source = """
 import multiprocessing, subprocess, sys

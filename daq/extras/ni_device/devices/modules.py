@@ -43,7 +43,7 @@ DEFAULT_RATES = Rates(51200.0 / 31, 51200.0, tuple(51200.0 / divisor for divisor
 class Module:
     """A device that scripts can use: a module, a chassis or a separate device.
 
-    Of several couplings, terminal configurations or currents, the first is the default.
+    Of several couplings or currents, the first is the default; of terminal configurations, the last.
     """
 
     name: str  # name on this bench
@@ -85,13 +85,17 @@ class Module:
         if rate == self.scene_rate:
             return rate
         try:
-            return (self.output_rates if output else self.rates).at_least(rate)
+            return self.rates_of(output).at_least(rate)
         except SceneError as error:
             raise invalid_value(f"sample clock rate of {self.product_type}: {error}") from None
 
     def timebase_of(self, output: bool) -> float:
         """Return the frequency of the clock that the sample clock of inputs or outputs divides [Hz]."""
-        return (self.output_rates if output else self.rates).timebase or self.timebase
+        return self.rates_of(output).timebase or self.timebase
+
+    def rates_of(self, output: bool) -> Rates:
+        """Return the sample rates of the inputs or outputs."""
+        return self.output_rates if output else self.rates
 
     def max_rate(self, count: int) -> float:
         """Return the highest sample rate of `count` inputs, S/s.

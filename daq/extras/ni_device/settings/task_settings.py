@@ -59,14 +59,21 @@ class TaskSettings:
         requested = self.groups["timing"]["samp_clk_rate"]
         if not self.channels:
             return float(requested)
-        return self.channels[0].module.coerced_rate(requested, output=self.direction == "ao")
+        return self.clock_modules[0].coerced_rate(requested, output=self.direction == "ao")
+
+    @property
+    def clock_modules(self) -> list[Module]:
+        """Modules that determine the rate: those of delta-sigma converters, which other modules of a chassis follow."""
+        modules = [channel.module for channel in self.channels]
+        output = self.direction == "ao"
+        return [module for module in modules if not module.chassis or module.rates_of(output).available] or modules
 
     @property
     def max_rate(self) -> float:
-        """Highest rate of the sample clock, S/s: that of the slowest device, or of the first device of outputs."""
+        """Highest rate of the sample clock, S/s: that of the slowest device."""
         modules = [channel.module for channel in self.channels]
         if self.direction == "ao":
-            return modules[0].output_rates.fastest
+            return min(module.output_rates.fastest for module in modules)
         return min((module.max_rate(modules.count(module)) for module in modules), default=math.inf)
 
     @property

@@ -60,6 +60,20 @@ def test_quasi_periodic_motion_is_irregular() -> None:
     assert of_motion(0.0 * TIME, mode=0.02 * np.sin(2.0 * np.pi * 0.382 * TIME)) == 0
 
 
+@pytest.mark.parametrize("periods", [20, 50, 60])
+@pytest.mark.parametrize("frequency", [0.31, 0.35, 0.36, 0.48, 0.49, 0.51, 0.52, 0.65])
+def test_beat_of_subharmonic_is_irregular(periods: int, frequency: float) -> None:
+    time = time_of(periods)
+    modes = [0.01 * np.sin(2.0 * np.pi * frequency * time + phase) for phase in PHASES[::3]]
+    assert {of_motion(0.0 * time, mode=mode) for mode in modes} == {0}
+
+
+@pytest.mark.parametrize("periods", [12, 20, 50, 200])
+def test_drift_beyond_tolerance_is_irregular(periods: int) -> None:
+    drifts = [ratio * TOLERANCE * time_of(periods) / periods for ratio in (2.0, 3.0)]
+    assert [of_motion(drift) for drift in drifts] == [1, 0]
+
+
 def test_doubling_in_a_few_periods_is_recognized() -> None:
     assert [of_motion(alternating(0.1, time_of(periods))) for periods in (4, 5, 6)] == [0, 2, 2]
 

@@ -130,19 +130,31 @@ def amplitudes_of_periods(samples: Array, frequency: float, rate: float) -> Comp
     return amplitudes / (len(_COMPARED_ORDERS) ** 0.5 * max(abs(complex(np.mean(amplitudes[:, 0]))), 1e-300))
 
 
+def _drift(means: ComplexArray, other: ComplexArray) -> float:
+    """Return the drift between two parts, from the mean of each phase of the repetition, shape (phases, orders).
+
+    Differences between the phases that change in proportion are a transient of a multiple. Their rotation is a beat.
+    """
+    center, other_center = np.mean(means, axis=0), np.mean(other, axis=0)
+    multiple, other_multiple = means - center, other - other_center
+    ratio = max(np.vdot(multiple, other_multiple).real, 0.0) / max(float(np.linalg.norm(multiple)) ** 2, 1e-300)
+    rotation = np.linalg.norm(other_multiple - ratio * multiple) / len(means) ** 0.5
+    return float(np.hypot(np.linalg.norm(other_center - center), rotation))
+
+
 def _deviations(amplitudes: ComplexArray, lag: int) -> tuple[Array, float]:
     """Return the deviations of a motion from one that repeats after `lag` periods.
 
     The first are the mean squared differences of two periods in each third of the measurement, or in all of a short
-    one; the second is the largest difference of the means of two thirds.
+    one; the second is the largest drift between two thirds.
     """
     powers, means = [], []
-    for part in np.array_split(amplitudes, 3 if len(amplitudes) >= 3 * (lag + 2) else 1):
-        periods = [part[phase::lag] for phase in range(lag)]
+    for part in np.array_split(np.arange(len(amplitudes)), 3 if len(amplitudes) >= 3 * (lag + 2) else 1):
+        periods = [amplitudes[part[part % lag == phase]] for phase in range(lag)]
         residuals = [each - np.mean(each, axis=0) for each in periods]
         powers.append(2.0 * sum(np.sum(abs(each) ** 2) for each in residuals) / max(len(part) - lag, 1))
-        means.append(np.mean([np.mean(each, axis=0) for each in periods], axis=0))
-    return np.array(powers), max(float(np.linalg.norm(mean - other)) for mean in means for other in means)
+        means.append(np.array([np.mean(each, axis=0) for each in periods]))
+    return np.array(powers), max(_drift(mean, other) for mean in means for other in means)
 
 
 def _is_transient(powers: Array, largest: float) -> bool:
@@ -159,7 +171,8 @@ def repetition(amplitudes: ComplexArray, tolerance: float, noise: float, feedbac
     """Return the number of periods after which a motion repeats, from `amplitudes_of_periods`; 0: none.
 
     `tolerance`: of steady state; `noise`: largest expected difference by noise; `feedback`: change of the motion in a
-    period by changes of the drive; all relative to the motion.
+    period by changes of the drive; all relative to the motion. Without feedback, a drift in the measurement by about
+    three tolerances is irregular, as is a rotation of a subharmonic.
 
     >>> t = np.arange(400)
     >>> motions = [np.sin(t) + 0.1 * np.sin(ratio * t) for ratio in (0.5, 0.43)]

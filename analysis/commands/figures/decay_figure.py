@@ -68,7 +68,7 @@ def decay_figure(decays: Sequence[Decay], title: str, styles: Sequence[CurveStyl
                 "side.",
             "Dashed: square root of the backward-integrated (Schroeder) energy, scaled to the start of the envelope. "
             "Dotted: 1 g.",
-            *(["Bands: 95 % interval of the damping ratio; a band down to the axis includes zero."] if modes else []),
+            "Bands: 95 % intervals of the damping ratio; triangles: upper ends of those with zero." * bool(modes),
         )  # fmt: skip
         _draw_damping(figure, rows, modes, gravity, styles)
         return figure
@@ -89,7 +89,10 @@ def _draw_damping(
         for index, mode in decays_of_mode:
             color, (percent, expanded) = styles[index].color, mode.percent
             axes.fill_between(mode.amplitude, percent - expanded, percent + expanded, color=color, alpha=0.25, lw=0)
-            axes.plot(mode.amplitude, percent, f"{styles[index].marker}-", color=color)
+            # Where an interval includes zero, tables state its upper end.
+            is_limit = percent <= expanded
+            axes.plot(mode.amplitude, np.where(is_limit, np.nan, percent), f"{styles[index].marker}-", color=color)
+            axes.plot(mode.amplitude[is_limit], (percent + expanded)[is_limit], "v", mfc="none", mec=color, ms=5.0)
         amplitudes = np.concatenate([mode.amplitude for _, mode in decays_of_mode] + [np.array([gravity])])
         axes.set_xlim(0.8 * float(amplitudes.min()), 1.25 * float(amplitudes.max()))
         set_log_scale(axes.xaxis, 5)

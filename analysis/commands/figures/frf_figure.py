@@ -23,7 +23,6 @@ from analysis.commands.figures.peak_marks import (
     PEAK_SYMBOLS,
     DrawnResponse,
     PeakMark,
-    above_line,
     draw_marks,
     drawn_response,
     label_peaks,
@@ -94,15 +93,12 @@ def frf_figure(
         if theory:
             magnitude_axes.plot([], [], color=_THEORY_COLOR, lw=0.9, ls=":", label=escape_figure(theory[0].label))
         marked_peaks = [peak_marks(measured, resonance_peaks(measured)) for measured in frfs]
-        has_hidden_arrows = False
-        if not several:
-            visible = without_hidden_arrows(marked_peaks)
-            has_hidden_arrows, marked_peaks = visible != marked_peaks, visible
         heights = []
+        visible = marked_peaks if several else without_hidden_arrows(marked_peaks)
+        has_hidden_arrows = visible != marked_peaks
         for row, (measured, curve_style, marked) in enumerate(zip(frfs, styles, marked_peaks, strict=True)):
             _draw_curve(measured, curve_style, row, top, marked, magnitude_axes, phase_axes, coherence_axes)
-            marked[:] = above_line(marked, measured.shown_in[1], curve_style.color, magnitude_axes)
-            heights += draw_marks(marked, measured.shown_in[1], curve_style.color, magnitude_axes)
+            heights += draw_marks(visible[row], measured.shown_in[1], curve_style.color, magnitude_axes)
         for frequency, text in marks:
             magnitude_axes.axvline(frequency, color="#777777", lw=0.8, ls=":")
             magnitude_axes.annotate(
@@ -125,7 +121,7 @@ def frf_figure(
         tops = [low_value * (height / low_value) ** (1.0 / (1.0 - space)) for height, space in heights]
         magnitude_axes.set_ylim(low_value, max([top_value, *tops]))
         colors = [style.color if several else _LABEL_COLOR for style in styles]
-        labels = [(mark, color) for marked, color in zip(marked_peaks, colors, strict=True) for mark in marked]
+        labels = [(mark, color) for marked, color in zip(visible, colors, strict=True) for mark in marked]
         has_rings = label_peaks(labels, frfs[0], magnitude_axes)
         name = escape_figure(frfs[0].name)
         magnitude_axes.set_ylabel(f"|{name}| / ({unit})" if "/" in unit else name)

@@ -7,13 +7,14 @@ import numpy as np
 
 from analysis.commands.figures.determined_lines import MAX_MARKED, determined_band, is_determined
 from analysis.commands.figures.frf_figure import intervals_text, unstated_tolerances
-from analysis.core.modal.mode_warnings import extrapolates_damping
+from analysis.core.modal.mode_warnings import MAX_LINEAR_RESIDUAL, extrapolates_damping
 from analysis.core.modal.modes import Modes
 from rig.core.base.arrays import Array
 from rig.core.base.escaping import escape_figure
 from rig.core.base.figure_style import add_legend_below, add_title, frequency_axis, log_axis, new_figure
 from rig.core.base.figure_types import Figure
 from rig.core.base.palette import faded, location_styles
+from rig.core.results import format_percent
 from rig.core.results.response import Response
 from rig.core.results.uncertainty import expand
 
@@ -116,9 +117,10 @@ def modes_figure(frfs: Sequence[Response], modes: Modes, title: str, remarks: Se
                 f"{modes.frequency_text(i)}\nζ = {modes.damping_text(i)}", y=1.0, fontsize=9,
                 fontweight="normal",
             )  # fmt: skip
+        residual = f"Residual: {format_percent(modes.model_error)} of the peak height."
         data = "Points" if is_sparse else "Broad and pale"
         add_legend_below(
             figure, f"{data}: measured. Lines: modal model. ±: {intervals_text(unstated_tolerances(frfs))}.",
-            "Shapes: the largest component is +1.", *remarks,
+            residual * (modes.model_error > MAX_LINEAR_RESIDUAL), "Shapes: the largest component is +1.", *remarks,
         )  # fmt: skip
         return figure

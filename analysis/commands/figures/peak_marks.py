@@ -17,7 +17,6 @@ from analysis.commands.figures.determined_lines import (
 from analysis.core.damper_motion.comparison import Peak, local_model
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.figure_types import Axes
-from rig.core.base.palette import faded
 from rig.core.results.resonances import Resonance
 from rig.core.results.response import MOTIONS, Response
 
@@ -80,8 +79,9 @@ def peak_marks(frf: Response, resonances: Iterable[tuple[Resonance, Peak]]) -> l
             marks.append(PeakMark("undetermined", line_frequency, point, peak))
             continue
         is_steady = frf.unsteady is None or not frf.unsteady[line]
+        may_be_higher = PeakMark("arrows", line_frequency, point, peak, is_steady)
         if not peak.is_determined:
-            marks.append(PeakMark("arrows", line_frequency, point, peak, is_steady))
+            marks.append(may_be_higher)
             continue
         height = peak.value * (2.0 * np.pi * peak.frequency) ** MOTIONS.index(frf.motion)
         is_near = abs(np.searchsorted(ordered, peak.frequency) - np.searchsorted(ordered, line_frequency)) <= 1
@@ -95,7 +95,7 @@ def peak_marks(frf: Response, resonances: Iterable[tuple[Resonance, Peak]]) -> l
         if is_near and height > (1.0 + _MIN_PEAK_EXCESS) * point:
             marks.append(PeakMark("diamonds" if peak.is_extrapolated else "circles", peak.frequency, height, peak))
         else:
-            marks.append(PeakMark("points", line_frequency, point, peak, is_steady))
+            marks.append(may_be_higher._replace(symbol="points") if resonance.is_resolved else may_be_higher)
     return marks
 
 
@@ -109,19 +109,6 @@ def without_hidden_arrows(marked: Sequence[Sequence[PeakMark]]) -> list[list[Pea
         )
 
     return [[mark for mark in of_curve if mark.symbol != "arrows" or is_highest(mark)] for of_curve in marked]
-
-
-def above_line(marks: Iterable[PeakMark], factor: float, color: str, axes: Axes) -> list[PeakMark]:
-    """Raise the arrows of a curve above its drawn line; `factor`: from the unit of the curve to that of the axis."""
-    lines = [line for line in axes.get_lines() if line.get_color() in (color, faded(color))]
-    drawn = [np.asarray(line.get_xydata()).T for line in lines if line.get_transform() == axes.transData]
-    frequency, height = np.concatenate([np.empty((2, 0)), *drawn], axis=1)
-
-    def raised(mark: PeakMark) -> PeakMark:
-        is_near = abs(frequency / mark.frequency - 1.0) < 0.5 * _ARROW_RANGE
-        return mark._replace(height=float(np.nanmax(height[is_near] / factor, initial=mark.height)))
-
-    return [raised(mark) if mark.symbol == "arrows" else mark for mark in marks]
 
 
 def draw_marks(marks: Iterable[PeakMark], factor: float, color: str, axes: Axes) -> list[tuple[float, float]]:
@@ -252,6 +239,12 @@ def drawn_response(frf: Response, marks: Iterable[PeakMark] = ()) -> DrawnRespon
     is_known = is_determined(lines)
     has_phase = is_known & is_smooth(lines)
     frequency, value = lines.continued(is_known)
+    for mark in marks:
+        if mark.symbol == "arrows":
+            # Between the points next to a peak that may be higher, the model is a guess.
+            k = int(np.searchsorted(lines.frequency, mark.frequency))
+            low, high = lines.frequency[[max(k - 1, 0), min(k + 1, lines.frequency.size - 1)]]
+            value[(frequency > low) & (frequency < high) & (frequency != mark.frequency)] = np.nan
     if lines.frequency.size > MAX_MARKED:
         # Lines close together are also joined where noise prevents interpolation.
         is_joined = np.isfinite(value) | np.isin(frequency, lines.frequency)

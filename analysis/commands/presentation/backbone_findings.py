@@ -1,13 +1,16 @@
 """Output of `analysis backbone`: natural frequency and damping ratio against amplitude."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
+
+import numpy as np
 
 from analysis.commands.presentation.figures_of_recordings import present_each
 from analysis.commands.presentation.outputs import CommandOutput
 from analysis.core.recordings.names import OpenRecordings, with_recordings
 from analysis.core.tracking.backbone import Backbone, backbone
-from analysis.core.tracking.body_motion import common_error_text
+from analysis.core.tracking.body_motion import common_error_text, draw_common_error
 from rig.core.base.figure_style import add_caption
 from rig.core.base.figure_types import Axes, Figure
 
@@ -19,9 +22,18 @@ def present_backbone(recordings: OpenRecordings, paths: Sequence[Path], output: 
 
 
 def _draw(result: Backbone, figure: Figure, axes: Axes) -> None:
-    result.draw(axes)
-    axes.margins(x=0.08)
-    common = common_error_text(result.amplitude, result.amplitude_own, result.amplitude_expanded)
+    natural, bound = result.natural_frequency, result.natural_frequency_expanded
+    # Without a sensor on each body, only the excitation frequency is known.
+    is_known = bool(np.isfinite(natural).all())
+    drawn = replace(result, frequency=natural, frequency_expanded=bound) if is_known else result
+    drawn.draw(axes)
+    if is_known:
+        axes.set_xlabel("natural frequency / Hz")
+    axes.margins(x=0.08, y=0.08)
+    amplitudes = result.amplitude, result.amplitude_own, result.amplitude_expanded
+    draw_common_error(axes, drawn.frequency, *(1e3 * column for column in amplitudes))
+    common = common_error_text(*amplitudes)
     add_caption(
-        figure, "Numbers: level of each point. Dotted lines only join the points. Bars: 95 % intervals.", common
-    )
+        figure, "Numbers: level of each point. Dotted lines only join the points. Bars: 95 % intervals.", common,
+        "Gray bar: with them, at the first point." * bool(common),
+    )  # fmt: skip

@@ -10,7 +10,7 @@ import numpy as np
 from analysis.commands.presentation.figures_of_recordings import present_each
 from analysis.commands.presentation.outputs import CommandOutput, with_recording_name
 from analysis.core.recordings.names import OpenRecordings, with_recordings
-from analysis.core.tracking.body_motion import common_error_text
+from analysis.core.tracking.body_motion import common_error_text, draw_common_error
 from analysis.core.tracking.continuation import AmplitudeCurve, continuation
 from daq.core.recording.recording import Recording
 from rig.core.base.arrays import Array
@@ -74,8 +74,11 @@ def present_continuation(
             axes.plot([], [], ls=dashes, label=name, **line)
         omissions = [f"{text}." for text in result.omissions()]
         computed = ["Exact: computed from the scene."] * bool(exact)
-        common = common_error_text(result.amplitude, result.amplitude_own, result.amplitude_expanded)
-        add_legend_below(figure, "Bars: 95 % intervals.", common, *computed, *omissions)
+        amplitudes = result.amplitude, result.amplitude_own, result.amplitude_expanded
+        common = common_error_text(*amplitudes)
+        draw_common_error(axes, result.frequency, *(1e3 * column for column in amplitudes))
+        bar = "Gray bar: with them, at the first point." * bool(common)
+        add_legend_below(figure, "Bars: 95 % intervals.", common, bar, *computed, *omissions)
 
     title = "Response at constant level"
     written = present_each(

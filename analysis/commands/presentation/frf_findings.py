@@ -181,11 +181,7 @@ def _peaks_between_points(frf: Response) -> list[str]:
             f"highest point is at the end of the band, {frequency:.4g} Hz: the peak may be outside. Measure a wider "
             f"band"
         )
-    coarse = [
-        r
-        for r, p, _ in peaks
-        if not p.loading and (r.lines < MIN_LINES or np.isfinite(r.needed_spacing) or r in uncertain)
-    ]
+    coarse = [r for r, p, _ in peaks if not p.loading and (r in uncertain or not r.is_resolved)]
     remarks += [
         f"the response jumps near {jump:.4g} Hz, next to its peak: compare sweeps up and down (test.direction: both)"
         for resonance in coarse
@@ -193,7 +189,14 @@ def _peaks_between_points(frf: Response) -> list[str]:
     ]
     remarks += [_take_off_remark(frf, r, p) for r, p, _ in peaks if p.loading]
     unresolved = [resonance for resonance in coarse if not _jumps_next_to(frf, resonance)]
-    return remarks + ([_spacing_remark(frf, unresolved)] if unresolved else [])
+    # An undetermined curve has no known width, and its peak no known frequency.
+    few = [r for r in unresolved if r.lines < MIN_LINES and r.expanded <= r.value]
+    others = [replace(r, frequency=float(frf.frequency[r.line])) for r in unresolved if r not in few]
+    causes = (
+        (f"the half-power width at {{}} has fewer than {MIN_LINES} points", few),
+        ("the points at {} do not determine the curve between them", others),
+    )
+    return remarks + [_spacing_remark(frf, cause, group) for cause, group in causes if group]
 
 
 def _jumps_next_to(frf: Response, resonance: Resonance) -> list[float]:
@@ -220,17 +223,14 @@ def _take_off_remark(frf: Response, resonance: Resonance, peak: Peak) -> str:
     )
 
 
-def _spacing_remark(frf: Response, coarse: Sequence[Resonance]) -> str:
-    """Return the advice on resonances whose half-power width has too few points."""
+def _spacing_remark(frf: Response, cause: str, coarse: Sequence[Resonance]) -> str:
+    """Return the advice on resonances with too few points; `cause`: sentence with a place for their frequencies."""
     *frequencies, last = (f"{resonance.frequency:.4g}" for resonance in coarse[:_MAX_LISTED])
     where = f"{', '.join(frequencies)} and {last}" if frequencies else last
     more = f", and {len(coarse) - _MAX_LISTED} others" if len(coarse) > _MAX_LISTED else ""
     needed = min(resonance.needed_spacing for resonance in coarse)
     remedy = estimator_of(frf.test).peak_remedy(needed)
-    return (
-        f"the half-power width at {where} Hz{more} has fewer than {MIN_LINES} points: a peak there may be higher than "
-        f"measured. {remedy}"
-    )
+    return f"{cause.format(f'{where} Hz{more}')}: a peak there may be higher than measured. {remedy}"
 
 
 def _draw_figures(

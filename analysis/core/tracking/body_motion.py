@@ -7,11 +7,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.core.base.arrays import Array
+from rig.core.base.figure_types import Axes
 from rig.core.base.palette import CurveStyle
 from rig.core.results import format_percent
 from rig.core.results.response import Response
 from rig.core.results.table import Table
 from rig.core.results.uncertainty import SENSITIVITY
+
+# Bars with the errors that all points share.
+_COMMON_COLOR = "#d0d0d0"
 
 
 class BodyMotion(NamedTuple):
@@ -88,6 +92,16 @@ def body_motion(response: Response, location: str) -> BodyMotion:
     settled = np.ones(size, dtype=bool) if response.unsteady is None else ~response.unsteady
     relative, own = (each.expanded()[:, k, 0] / magnitude for each in (response, response.without(SENSITIVITY)))
     return BodyMotion(k, force, magnitude * force, relative, own, settled)
+
+
+def draw_common_error(ax: Axes, *columns: Array) -> None:
+    """Draw a gray bar with the tolerances of the sensors at the first of the points that share them.
+
+    `columns`: position, value, and its expanded uncertainty without and with the tolerances.
+    """
+    at, value, own, expanded = (float(column[0]) for column in columns)
+    if own < expanded:
+        ax.vlines(at, max(value - expanded, 0.0), value + expanded, colors=_COMMON_COLOR, lw=5.0, zorder=1)
 
 
 def common_error_text(value: Array, own: Array, expanded: Array) -> str:

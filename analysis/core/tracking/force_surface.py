@@ -17,7 +17,7 @@ from scipy.interpolate import Akima1DInterpolator
 
 from analysis.core.recordings.names import takes_path
 from analysis.core.responses.frequency_responses import frequency_responses
-from analysis.core.tracking.body_motion import body_motion
+from analysis.core.tracking.body_motion import body_motion, draw_common_error
 from daq.core.recording.recording import Recording
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import RecordingError
@@ -34,8 +34,6 @@ _LEVEL_STEP = 0.02
 _GRID = 1000
 # A larger ratio of forces has a logarithmic axis.
 _MAX_LINEAR_RATIO = 10.0
-# Bars with the errors that all points of a level share.
-_COMMON_COLOR = "#d0d0d0"
 
 
 @dataclass(frozen=True, repr=False)
@@ -174,11 +172,8 @@ class ForceSurface(Result):
             label = f"{median:.{max(digits - 1 - floor(log10(median)), 0)}f} mm"
             bars = complete_style(style, label=label, color=color, marker=marker, ms=3, lw=0.8, capsize=2)
             ax.errorbar(self.frequency[along], self.force[along], self.force_own[along], **bars)
-            first = along[0]
-            if self.force_own[first] < self.force_expanded[first]:
-                # One bar shows the errors that all points of a level share.
-                at, force, half = self.frequency[first], self.force[first], self.force_expanded[first]
-                ax.vlines(at, max(force - half, 0.0), force + half, colors=_COMMON_COLOR, lw=5.0, zorder=1)
+            columns = self.frequency, self.force, self.force_own, self.force_expanded
+            draw_common_error(ax, *(column[along] for column in columns))
         ax.set(xlabel="frequency / Hz", ylabel="force / N")
         if self.force.max() > _MAX_LINEAR_RATIO * self.force.min() > 0.0:
             # Imported at the first figure, because matplotlib takes long.

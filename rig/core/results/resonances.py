@@ -35,6 +35,11 @@ class Resonance:
     is_interpolated: bool  # whether the lines resolve the peak well enough for its interpolation
     needed_spacing: float  # spacing of lines that would resolve the peak [Hz]; infinite if the lines resolve it
 
+    @property
+    def is_resolved(self) -> bool:
+        """Whether enough lines are within the half-power width, and determine the curve between them."""
+        return self.lines >= MIN_LINES and bool(np.isinf(self.needed_spacing))
+
 
 def find_resonances(frf: Response) -> list[Resonance]:
     """Locate and refine the local maxima of a curve that exceed the minima on both sides by more than noise."""

@@ -1,6 +1,7 @@
 """Outputs of the analysis commands: files, tables, figures and their captions."""
 
 import csv
+import dataclasses
 import re
 from contextlib import nullcontext
 from dataclasses import replace
@@ -21,13 +22,15 @@ from analysis.commands.figures.decay_figure import decay_figure
 from analysis.commands.figures.determined_lines import determined_band, is_determined, is_smooth
 from analysis.commands.figures.frf_figure import frf_figure
 from analysis.commands.figures.modes_figure import modes_figure
-from analysis.commands.figures.peak_marks import PeakMark, above_line
+from analysis.commands.figures.peak_marks import drawn_response, peak_marks
+from analysis.commands.presentation.backbone_findings import _draw as _draw_backbone
 from analysis.commands.presentation.decay_findings import present_decay
 from analysis.commands.presentation.fit_findings import present_fit
 from analysis.commands.presentation.frf_findings import _draw_figures, describe_frfs, present_frf
 from analysis.commands.presentation.mode_findings import describe_modes, theory_warnings
 from analysis.commands.presentation.tables import modes_table
 from analysis.commands.presentation.theory import theoretical_modes
+from analysis.core.damper_motion.comparison import resonance_peaks
 from analysis.core.modal.modes import Modes, UncertainMode
 from analysis.core.modal_models.lscf import ChartPole
 from analysis.core.recordings.names import baseline_label, belongs_to, excitation_text
@@ -358,11 +361,32 @@ def test_label_reports_missing_steady_state(is_steady, text):
     assert label.get_text() == text
 
 
-def test_arrow_begins_above_the_line_around_it():
-    axes = Figure().subplots()
-    axes.plot([9.95, 10.0, 10.05], [3.0, 2.0, 1.0], color="#0072B2")
-    marks = [PeakMark(symbol, 10.0, 2e-6, None) for symbol in ("arrows", "points")]
-    assert [mark.height for mark in above_line(marks, 1e6, "#0072B2", axes)] == [pytest.approx(3e-6), 2e-6]
+def test_model_line_stops_beside_an_arrow():
+    curve = uncertain_jump()
+    [arrow] = [mark for mark in peak_marks(curve, resonance_peaks(curve)) if mark.symbol == "arrows"]
+    drawn = drawn_response(curve, [arrow])
+    near = drawn.frequency[np.isfinite(drawn.value) & (abs(drawn.frequency - arrow.frequency) < 0.25)]
+    assert near.tolist() == [arrow.frequency] and np.nanmax(drawn.magnitude) <= abs(curve.value).max()
+
+
+def phase_scatter():
+    """Return a peak with three points in its half-power width, between which their phases determine no curve."""
+    f = np.arange(20.0, 24.1, 0.25)
+    value = np.exp(0.1j * (-1.0) ** np.arange(f.size)) / (22.1**2 - f**2 + 1.32j * f)
+    return Response.curve(f, value, "tray", error=1e-3 * abs(value), degrees_of_freedom=100.0 * np.ones(f.size))
+
+
+def test_undetermined_curve_is_no_lack_of_points():
+    [remark] = describe_frfs([phase_scatter()])[3:]
+    assert "the points at 22 Hz do not determine the curve" in remark and "fewer than" not in remark
+
+
+@pytest.mark.parametrize(("spacing", "symbol"), [(np.inf, "points"), (0.1, "arrows")])
+def test_unresolved_peak_has_an_arrow(spacing, symbol):
+    f = np.arange(20.0, 24.1, 0.05)
+    curve = Response.curve(f, 1.0 / (22.0**2 - f**2 + 1.32j * f), "tray")
+    [(resonance, peak)] = resonance_peaks(curve)
+    assert [mark.symbol for mark in peak_marks(curve, [(replace(resonance, needed_spacing=spacing), peak)])] == [symbol]
 
 
 def test_peak_between_tones_has_a_marker():
@@ -476,6 +500,17 @@ def test_title_has_range_of_differing_modes(folder):
     ]
 
 
+def test_damping_that_may_be_zero_is_a_limit(folder):
+    with daq.open(folder / "hit.mcap") as rec:
+        decay = analysis.decay(rec)
+    [first, *others] = decay.modes
+    uncertain = replace(first, damping_std=np.append(first.damping[:1], 0.0 * first.damping[1:]))
+    figure = decay_figure([replace(decay, modes=(uncertain, *others))], "Free decay")
+    [points, limit] = figure.axes[2].lines[:2]
+    assert np.flatnonzero(np.isnan(points.get_ydata())).tolist() == [0]
+    assert limit.get_ydata().tolist() == [pytest.approx(sum(uncertain.percent)[0])]
+
+
 def test_axis_of_constant_damping_has_distinct_labels(folder):
     with daq.open(folder / "hit.mcap") as rec:
         figure = decay_figure([analysis.decay(rec)], "Free decay")
@@ -584,6 +619,18 @@ def test_labels_of_levels_avoid_the_next_point(frequencies, sides) -> None:
     axes = Figure().add_subplot()
     Backbone.draw(points, axes)  # type: ignore[arg-type]
     assert "".join(text.get_ha()[0] for text in axes.texts) == sides
+
+
+@pytest.mark.parametrize(("known", "name"), [(50.1, "natural frequency / Hz"), (np.nan, "excitation frequency / Hz")])
+def test_backbone_figure_has_natural_frequencies(known, name) -> None:
+    ones = np.ones(2)
+    fields = {field.name: ones for field in dataclasses.fields(Backbone)}
+    fields |= {"label": "", "body": "body 1", "unit": "N", "frequency": 50.0 * ones, "natural_frequency": known * ones}
+    figure = Figure()
+    axes = figure.add_subplot()
+    _draw_backbone(Backbone(**(fields | {"amplitude_own": 0.5 * ones})), figure, axes)
+    [gray] = [each for each in axes.collections if each.get_linewidth() == 5.0]
+    assert axes.get_xlabel() == name and np.ptp(gray.get_segments()[0][:, 1]) == pytest.approx(2e3)
 
 
 def test_gaps_do_not_change_determined_lines():

@@ -13,7 +13,7 @@ from analysis.core.damper_motion.dampers import Dampers
 from analysis.core.modal.mode_warnings import extrapolates_damping
 from analysis.core.recordings.names import sweep_name, without_common_direction
 from analysis.core.tracking.body_motion import LevelPoint, quantity_ranges, table_of_levels
-from rig.core.results import format_decimals, format_limited, format_number
+from rig.core.results import format_limited, format_number
 from rig.core.results.response import Response
 from rig.core.results.table import join_tables
 from rig.core.results.uncertainty import expand
@@ -47,13 +47,14 @@ def level_points(measurement: Measurement) -> dict[str, list[LevelPoint]]:
     levels = without_common_direction([sweep_name(sweep.label, measurement.label) for sweep in sweeps])
     # All levels state the response that is highest at the first level.
     ratios = ["" if highest is None else highest[0].ratio for highest in sweeps[0].peaks]
-    modes = sorted(zip(sweeps[0].modes.frequency.tolist(), ratios, strict=True))
+    labels = map(sweeps[0].modes.frequency_label, range(len(ratios)))
+    modes = sorted(zip(sweeps[0].modes.frequency.tolist(), labels, ratios, strict=True))
     return {
-        f"mode at {format_decimals(frequency, 2)} Hz" * (len(modes) > 1): [
+        f"mode at {label}" * (len(modes) > 1): [
             _with_energy(_mode_point(measurement, sweep, level, band, ratio), dampers.get(sweep.label, ()))
             for sweep, level in zip(sweeps, levels, strict=True)
         ]
-        for (frequency, ratio), band in zip(modes, _bands([frequency for frequency, _ in modes]), strict=True)
+        for (_, label, ratio), band in zip(modes, _bands([frequency for frequency, *_ in modes]), strict=True)
     }
 
 

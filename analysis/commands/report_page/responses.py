@@ -45,7 +45,7 @@ from rig.core.base.palette import (
     recording_styles,
 )
 from rig.core.numerics.runs import ranges_of
-from rig.core.results import format_decimals, format_frequencies, format_percent
+from rig.core.results import format_frequencies, format_percent
 from rig.core.results.response import Response
 from rig.core.scene.excitation import FORCE_TOLERANCE
 
@@ -140,9 +140,10 @@ def _mode_marks(
     marks = list[tuple[int, Mark]]()
     for sweep in sweeps if styles else [baseline]:
         natural = np.empty(0) if sweep.modes is None else sweep.modes.frequency
+        labels = [] if sweep.modes is None else [sweep.modes.frequency_label(k) for k in range(natural.size)]
         labeled = [
-            (float(frequency), f"{format_decimals(frequency, 2)} Hz", [(frf, peak.value) for frf, peak in peaks])
-            for frequency, peaks in zip(natural, sweep.found, strict=True)
+            (float(frequency), label, [(frf, peak.value) for frf, peak in peaks])
+            for frequency, label, peaks in zip(natural, labels, sweep.found, strict=True)
         ] + [
             (mark.frequency, f"peak {peak_label(mark)}", [(frf, mark.height)])
             for frf, marked in sweep.marked
@@ -314,7 +315,7 @@ def stabilization_charts(measurements: Sequence[Measurement]) -> list[Chart]:
         return []
     band = np.concatenate([sweep.frfs[0].frequency for sweep, _ in identified])
     view = _first_view(band, np.concatenate([modes.frequency for _, modes in identified]))
-    charts = []
+    charts, stated = [], set[str]()
     for sweep, modes in identified:
         poles = sorted(modes.chart, key=lambda pole: pole.frequency)
         frequency, order, stable = np.array([(pole.frequency, pole.order, pole.stable) for pole in poles]).T
@@ -338,9 +339,15 @@ def stabilization_charts(measurements: Sequence[Measurement]) -> list[Chart]:
                 zip(frequency[selected], order[selected], strict=True),
             )
         ]
-        texts = {float(natural): f"{format_decimals(natural, 2)} Hz" for natural in modes.frequency}
-        texts |= {each.frequency: f"{format_decimals(each.frequency, 2)} Hz?" for each in modes.uncertain}
+        texts = {float(natural): modes.frequency_label(k) for k, natural in enumerate(modes.frequency)}
+        texts |= {each.frequency: f"{each.frequency_label()}?" for each in modes.uncertain}
         marks = [Mark(natural, 0.0, texts[natural]) for natural in sorted(texts)]
+        notes = [
+            "Dotted lines: the identified modes, each with a column of stable poles.",
+            "Two columns on either side of one line indicate a nonlinear mode.",
+            "Question marks: uncertain modes." * bool(modes.uncertain),
+            "Hollow: stable, but not identified as a mode." * any(curve.draw == "circles" for curve in curves),
+        ]
         charts.append(
             Chart(
                 f"{sweep.label}: poles of models of increasing order",
@@ -349,14 +356,10 @@ def stabilization_charts(measurements: Sequence[Measurement]) -> list[Chart]:
                 logarithmic=needs_logarithmic_axis(band),
                 x_limits=(float(band.min()), float(band.max())),
                 x_view=view,
-                notes=[
-                    "Dotted lines: the identified modes, each with a column of stable poles.",
-                    "Two columns on either side of one line indicate a nonlinear mode.",
-                    "Question marks: uncertain modes." * bool(modes.uncertain),
-                    "Hollow: stable, but not identified as a mode." * any(curve.draw == "circles" for curve in curves),
-                ],
+                notes=[text for text in notes if text not in stated],
             )
         )
+        stated.update(notes)
     return charts
 
 

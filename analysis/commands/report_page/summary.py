@@ -50,6 +50,8 @@ def limitations(measurements: Sequence[Measurement]) -> list[str]:
     for measurement in measurements:
         rec = measurement.rec
         faults = validity_texts(rec)
+        if not rec.scene.is_linear and any(sweep.frfs[0].amplitude is None for sweep in measurement.sweeps):
+            faults.append("the intervals assume linearity")
         residual = max(
             (sweep.modes.model_error for sweep in measurement.sweeps if sweep.modes is not None), default=0.0
         )
@@ -188,7 +190,7 @@ def _highest_peak(sweep: SweepResults) -> str:
     mode = next((k for k, peak in enumerate(sweep.peaks) if peak is not None and peak[1] is highest), None)
     where = f"{highest.frequency:.4g} Hz"
     if mode is not None and sweep.modes is not None:
-        where = f"mode at {format_decimals(float(sweep.modes.frequency[mode]), 2)} Hz"
+        where = f"mode at {sweep.modes.frequency_label(mode)}"
     unit, factor = curve.shown_in
     return f"highest {curve.name}: {highest.height_text(factor, unit)} ({curve.ratio}, {where})"
 

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from analysis.commands.figures.frf_figure import intervals_text
 from analysis.commands.figures.peak_marks import MODE_SHIFT
 from analysis.commands.presentation.comparison import change_table
 from analysis.commands.presentation.mode_findings import MIN_SAME_SHAPE_MAC
@@ -18,14 +17,13 @@ from analysis.commands.report_page.measurements import (
     Measurement,
     SweepChange,
     common_mac,
-    missing_tolerances,
     same_mode,
 )
 from analysis.core.damper_motion.comparison import Peak, PeakChange
 from analysis.core.modal.modes import Modes
 from analysis.core.responses.errors.systematic import tolerance
 from rig.core.base.escaping import escape_html
-from rig.core.results import format_decimals, format_number, format_percent
+from rig.core.results import format_number, format_percent
 from rig.core.results.response import Response
 from rig.core.results.table import Table, join_tables, typeset
 
@@ -45,7 +43,7 @@ def resonances(measurements: Sequence[Measurement], baseline: Measurement) -> st
     recording, also where they were not identified.
     """
     rows: list[tuple[str, ...]] = []
-    known = [each.modes.frequency for each in baseline.sweeps[:1] if each.modes is not None]
+    known = [each.modes for each in baseline.sweeps[:1] if each.modes is not None]
     single = (measurement.sweeps[0] for measurement in measurements if len(measurement.sweeps) == 1)
     inputs = {frf.input for measurement in measurements for sweep in measurement.sweeps for frf in sweep.frfs}
     for sweep in single:
@@ -63,16 +61,17 @@ def resonances(measurements: Sequence[Measurement], baseline: Measurement) -> st
             rows.append((location, frequency, damping + sweep.damping_note(k), height))
         rows += [(f"uncertain: {each.reason}", *each.cells(), "") for each in modes.uncertain]
         rows += [
-            (f"mode of {format_decimals(frequency, 2)} Hz", "not determined", "", "")
-            for frequency in np.concatenate([*known, []]).tolist()
+            (f"mode of {before.frequency_label(k)}", "not determined", "", "")
+            for before in known
+            for k, frequency in enumerate(before.frequency)
             if not (abs(modes.frequency / frequency - 1.0) < MODE_SHIFT).any()
         ]
     found = (peak for measurement in measurements for sweep in measurement.sweeps for peak in sweep.peaks)
     units = " or ".join(dict.fromkeys(peak[0].shown_in[0] for peak in found if peak is not None)) or "µm/N"
     heading = ("response with the highest peak", "natural frequency / Hz", "damping ratio / %", f"peak / ({units})")
     relative = f"; responses to the {', '.join(inputs)}" * (len(inputs) == 1)
-    caption = f"Resonances, with {intervals_text(missing_tolerances(measurements))}{relative}"
-    return Table(heading, "<>>>", rows).html(caption)
+    # The top of the page states which errors the intervals do not include.
+    return Table(heading, "<>>>", rows).html(f"Resonances, with 95 % intervals{relative}")
 
 
 def changes_table(changes: Sequence[SweepChange]) -> str:
@@ -111,10 +110,7 @@ def mac_table(before: Modes, after: Modes) -> str:
     mac_matrix = common_mac(before, after)
     if mac_matrix is None or (before is after and before.frequency.size < 2):
         return ""
-    rows = [
-        (f"{frequency:.2f} Hz", *(f"{value:.3f}" for value in row))
-        for frequency, row in zip(before.frequency, mac_matrix, strict=True)
-    ]
+    rows = [(before.frequency_label(k), *(f"{value:.3f}" for value in row)) for k, row in enumerate(mac_matrix)]
     if before is not after:
         # Shapes of one mode in two sweeps.
         for (name, *cells), frequency, k in zip(rows, before.frequency, range(len(rows)), strict=True):
@@ -122,7 +118,7 @@ def mac_table(before: Modes, after: Modes) -> str:
             if column is not None and mac_matrix[k, column] < MIN_SAME_SHAPE_MAC:
                 cells[column] += ", differ"
                 rows[k] = (name, *cells)
-    heading = ["", *(f"{frequency:.2f} Hz" for frequency in after.frequency)]
+    heading = ["", *(after.frequency_label(k) for k in range(after.frequency.size))]
     pair = before.label if before is after else f"{before.label} (rows) and {after.label} (columns)"
     caption = f"Modal assurance criterion (MAC; equal shapes above about {MIN_SAME_SHAPE_MAC:g}): {pair}"
     return Table(heading, "<" + ">" * len(after.frequency), rows).html(caption)

@@ -410,9 +410,9 @@ class PeakChange:
 
     @property
     def decibel_decimals(self) -> int:
-        """Number of decimals, 1 or 2, that resolve the interval of the change in dB."""
+        """Number of decimals of the change in dB: 1, or 2 if the limits of its interval would be equal with 1."""
         _, low, high = self.decibel
-        return 2 if 0.0 < high - low < 1.0 else 1
+        return 2 if round(low, 1) == round(high, 1) else 1
 
     @property
     def significance(self) -> Literal["yes", "no", "not bounded"]:

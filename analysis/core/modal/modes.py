@@ -16,7 +16,14 @@ from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import SceneError
 from rig.core.base.figure_types import Axes
 from rig.core.base.renamed import renamed
-from rig.core.results import Result, complete_style, format_interval, format_percent, format_quantity
+from rig.core.results import (
+    Result,
+    complete_style,
+    format_interval,
+    format_percent,
+    format_quantity,
+    round_to_bound,
+)
 from rig.core.results.response import Response
 from rig.core.results.table import Table
 from rig.core.results.uncertainty import expand
@@ -60,6 +67,10 @@ class UncertainMode(NamedTuple):
     def frequency_text(self) -> str:
         """Write the natural frequency with its expanded uncertainty (95 %)."""
         return _frequency_text(self.frequency, self.frequency_std)
+
+    def frequency_label(self) -> str:
+        """Write the natural frequency for a label, see `Modes.frequency_label`."""
+        return _frequency_label(self.frequency, self.frequency_std)
 
     def damping_text(self) -> str:
         """Write the damping ratio with its expanded uncertainty (95 %), or an upper limit."""
@@ -156,6 +167,10 @@ class Modes(Result):
     def frequency_text(self, mode: int) -> str:
         """Write a natural frequency with its expanded uncertainty (95 %)."""
         return _frequency_text(self.frequency[mode], self.frequency_std[mode])
+
+    def frequency_label(self, mode: int) -> str:
+        """Write a natural frequency for a label: two decimals, or fewer if its interval (95 %) has fewer."""
+        return _frequency_label(self.frequency[mode], self.frequency_std[mode])
 
     def damping_text(self, mode: int) -> str:
         """Write a damping ratio with its expanded uncertainty (95 %), or an upper limit if it is poorly determined."""
@@ -365,6 +380,13 @@ def _frequency_text(frequency: float, error: float) -> str:
     if np.isnan(error):
         return f"{frequency:.6g} Hz"
     return format_quantity(frequency, float(expand(error)), "Hz")
+
+
+def _frequency_label(frequency: float, error: float) -> str:
+    # The last digit is that of the first significant digit of the interval.
+    smallest = 0.01 * min(frequency, 1.0)
+    bound = float(expand(error))
+    return f"{round_to_bound(frequency, 10.0 * (bound if bound > smallest else smallest))} Hz"
 
 
 def _cells(frequency: float, error: float, damping_text: str) -> tuple[str, str]:

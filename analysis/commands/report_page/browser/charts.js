@@ -12,7 +12,7 @@
   const MIN_CONTRAST = 6; // of curves on a dark page: they are thinner than text, for which WCAG requires 4.5
   const MIN_DECADE = 120; // px: a shorter decade has no grid lines between its ends
   const MIN_LABEL = 14, MIN_LABEL_WIDTH = 34; // px between labels of a vertical and of a horizontal logarithmic axis
-  const MANTISSAS = [[1, 1.5, 2, 3, 4, 5, 6, 8], [1, 2, 3, 4, 5, 6, 8], [1, 2, 3, 5, 7], [1, 2, 5]];
+  const MANTISSAS = [[1, 1.5, 2, 3, 4, 5, 6, 8], [1, 2, 3, 4, 5, 6, 8], [1, 2, 3, 5, 7], [1, 2, 5], [1, 3]];
   const LABEL_ROW = 14, LABEL_ROWS = 3; // px, and the largest number of rows of labels for which a panel is higher
   const POINT = () => (window.innerWidth < 700 && !printing ? 3.4 : 5); // px: points of tones must not touch
   const SYMBOLS = ["dots", "crosses", "circles", "diamonds", "arrows", "path"]; // drawn over the series, in any order of the abscissa
@@ -215,12 +215,13 @@
     context.restore();
   }
 
-  // Mantissas that are labeled on a logarithmic axis: decades; over less than two decades also values between that leave
-  // space between their labels.
+  // Mantissas that are labeled on a logarithmic axis: decades; over two decades, or if fewer than three decades are in
+  // view, also values between that leave space between their labels.
   function labeledMantissas(plot, number) {
     const { min, max } = plot.scales[plot.axes[number].scale], space = number ? MIN_LABEL : MIN_LABEL_WIDTH;
     const fits = (set) => set.every((value, k) => decade(plot, number) * Math.log10((set[k + 1] ?? 10) / value) >= space);
-    return (max <= 100 * min && MANTISSAS.find(fits)) || [1];
+    const decades = Math.floor(Math.log10(max)) - Math.ceil(Math.log10(min)) + 1;
+    return ((max <= 100 * min || decades < 3) && MANTISSAS.find(fits)) || [1];
   }
 
   // Length of a decade of a logarithmic axis, px.
@@ -270,8 +271,9 @@
   // An axis with a title, or without title and labels if `size` is small.
   function axis(label, log, size, space, ticks) {
     return {
-      ...(log ? { filter: logarithmicLabels, splits: logarithmicTicks } : {}), // Printed panels are too low for all ticks.
-      ...(ticks ? { splits: () => ticks.filter((_, k) => !printing || (ticks.length - 1 - k) % 2 === 0) } : {}),
+      ...(log ? { filter: logarithmicLabels, splits: logarithmicTicks } : {}),
+      // Printed panels are too low for all of many ticks; three labels remain.
+      ...(ticks ? { splits: () => ticks.filter((_, k) => !printing || ticks.length < 5 || (ticks.length - 1 - k) % 2 === 0) } : {}),
       ...(label ? { label, labelSize: 18, labelFont: FONT } : {}), size, font: FONT, gap: 3,
       stroke: () => theme("text"), grid: { stroke: () => theme("grid"), width: 1 },
       ticks: { stroke: () => theme("grid"), width: 1, size: label ? 6 : 0 },
@@ -544,7 +546,8 @@
         },
         axes: [
           axis(last ? chart.x.label : "", chart.x.log, last ? 34 : 6, chart.x.log ? 34 : 70),
-          axis(panel.label, panel.log, 58, 26, panel.ticks),
+          // A quarter of a low panel leaves space for three labels.
+          axis(panel.label, panel.log, 58, (u, number, low, high, length) => Math.min(26, length / 4), panel.ticks),
         ],
         series: [{ label: chart.x.name }, ...shown],
         bands,

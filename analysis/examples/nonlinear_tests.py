@@ -58,7 +58,7 @@ profile.draw(axes)
 axes.set_ylim(0.003)
 axes.legend()
 print(profile)
-print("notches:", *(f"{name} from {low:.4g} to {high:.4g} Hz" for name, low, high in profile.notches()))
+print("notches:", ", ".join(f"{name} from {low:.4g} to {high:.4g} Hz" for name, low, high in profile.notches()))
 
 # %%
 # A shock of the table, and the shock response spectra of the table and of the unit.

@@ -351,7 +351,7 @@ def _add_legend_below(axes: Axes) -> None:
 def headline(design: Design) -> str:
     """State the dampers, the largest peak without and with them, and its change in dB."""
     peak, (_, unit, factor) = design.best.peak, design.question.response_display
-    heights = " to ".join(f"{factor * each.magnitude:.4g}" for each in (design.bare, peak))
+    heights = " to ".join(format_number(factor * each.magnitude) for each in (design.bare, peak))
     change = f"{-design.reduction(peak):+.1f}".replace("-", "−")
     return f"{design.best.choice}: {heights} {unit} ({change} dB)"
 

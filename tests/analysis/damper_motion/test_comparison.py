@@ -150,9 +150,9 @@ def test_changes_are_printed_with_their_limits() -> None:
     changes = [PeakChange("b1", 10.0, 0.01, peaks[0], damped) for damped in peaks[1:]]
     # Columns: heights in µm/N, change in dB with its limits, shift in Hz with its limits.
     _, lowered, unchanged = (re.split(r"  +", line) for line in describe_changes(changes, ("µm/N", 1e6)))
-    assert lowered[2:6] == ["1000", "200", "-13.98", "-14.43 to -13.55"]
+    assert lowered[2:6] == ["1000", "200", "-14.0", "-14.4 to -13.5"]
     assert lowered[6:8] == ["-0.50", "-0.64 to -0.18"]
-    assert unchanged[4:6] == ["+0.00", "-0.20 to +0.19"]
+    assert unchanged[4:6] == ["+0.0", "-0.2 to +0.2"]
 
 
 def test_tolerances_cancelling_on_one_flank_widen_peak() -> None:

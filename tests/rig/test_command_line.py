@@ -245,8 +245,11 @@ def test_full_disk_while_printing_is_reported() -> None:
 def test_missing_working_folder_is_reported(tmp_path: Path) -> None:
     folder = tmp_path / "gone"
     folder.mkdir()
-    code, reported = run_rig("scenes", stdout=subprocess.DEVNULL, cwd=folder, preexec_fn=folder.rmdir)
-    assert code == 1 and "the working folder no longer exists" in reported
+    remove_and_run = "import os, sys; os.rmdir(os.getcwd()); os.execv(sys.executable, [sys.executable, *sys.argv[1:]])"
+    completed = subprocess.run(
+        [sys.executable, "-c", remove_and_run, "-m", "rig", "scenes"], cwd=folder, capture_output=True, text=True
+    )
+    assert completed.returncode == 1 and "the working folder no longer exists" in completed.stderr
 
 
 def test_help_and_version_are_plain_text(command, capsys, monkeypatch) -> None:

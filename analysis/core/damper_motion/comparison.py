@@ -410,9 +410,10 @@ class PeakChange:
 
     @property
     def decibel_decimals(self) -> int:
-        """Number of decimals of the change in dB: 1, or 2 if the limits of its interval would be equal with 1."""
+        """Number of decimals of the change in dB: 1, or 2 if with 1 a limit would be 0 or equal to the other limit."""
         _, low, high = self.decibel
-        return 2 if round(low, 1) == round(high, 1) else 1
+        rounded = (round(low, 1), round(high, 1))
+        return 2 if 0.0 in rounded or rounded[0] == rounded[1] else 1
 
     @property
     def significance(self) -> Literal["yes", "no", "not bounded"]:

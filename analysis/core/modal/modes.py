@@ -169,8 +169,12 @@ class Modes(Result):
         return _frequency_text(self.frequency[mode], self.frequency_std[mode])
 
     def frequency_label(self, mode: int) -> str:
-        """Write a natural frequency for a label: two decimals, or fewer if its interval (95 %) has fewer."""
-        return _frequency_label(self.frequency[mode], self.frequency_std[mode])
+        """Write a natural frequency for a label: two decimals, or fewer if its interval (95 %) has fewer.
+
+        A label that would be that of two modes has two decimals.
+        """
+        labels = [*map(_frequency_label, self.frequency, self.frequency_std)]
+        return labels[mode] if labels.count(labels[mode]) == 1 else f"{self.frequency[mode]:.2f} Hz"
 
     def damping_text(self, mode: int) -> str:
         """Write a damping ratio with its expanded uncertainty (95 %), or an upper limit if it is poorly determined."""

@@ -155,6 +155,13 @@ def test_changes_are_printed_with_their_limits() -> None:
     assert unchanged[4:6] == ["+0.0", "-0.2 to +0.2"]
 
 
+def test_small_certain_change_keeps_its_sign() -> None:
+    # With one decimal, the interval would begin at zero.
+    low, high = (Peak(height, 1.3e-5, 10.0, 9.9, 10.1) for height in (1e-3, 1.02e-3))
+    (_, line) = describe_changes([PeakChange("b1", 10.0, 0.01, low, high)], ("µm/N", 1e6))
+    assert re.split(r"  +", line)[4:6] == ["+0.17", "+0.01 to +0.33"]
+
+
 def test_tolerances_cancelling_on_one_flank_widen_peak() -> None:
     natural, stiffness, tolerance = 13.0, 1.3e3, 0.11
     f = np.geomspace(8.0, 20.0, 40)

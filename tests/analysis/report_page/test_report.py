@@ -9,6 +9,7 @@ from importlib.resources import files
 from math import inf
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -37,7 +38,7 @@ from analysis.commands.report_page.tables import test_sentence as sentence_of
 from analysis.core.damper_motion.comparison import Peak, PeakChange, local_model, resonance_peak, resonance_peaks
 from analysis.core.damper_motion.motion_types import DamperMotion, motion_table
 from analysis.core.modal.mode_warnings import extrapolates_damping
-from analysis.core.modal.modes import BodyShapes, UncertainMode
+from analysis.core.modal.modes import BodyShapes, Modes, UncertainMode
 from analysis.core.tracking.body_motion import LevelPoint
 from daq.core.recording.markers import Marker
 from rig.core.base.palette import HAMMER, TABLE
@@ -470,6 +471,11 @@ def test_peak_labels_have_the_frequencies_of_the_table(page: Path) -> None:
 )
 def test_labels_have_the_digits_of_intervals(frequency: float, std: float, label: str) -> None:
     assert UncertainMode(frequency, std, 0.01, 0.001, "").frequency_label() == label
+
+
+def test_modes_have_different_labels() -> None:
+    modes: Any = SimpleNamespace(frequency=[12.96, 13.04, 30.0], frequency_std=[0.05] * 3)
+    assert [Modes.frequency_label(modes, k) for k in range(3)] == ["12.96 Hz", "13.04 Hz", "30.0 Hz"]
 
 
 def test_peak_of_the_table_is_drawn(recordings: list[Path]) -> None:

@@ -48,7 +48,7 @@ def ringing(value: ComplexArray, frequency: Array, wait_s: Array, window_s: Arra
     0.0018
     """
     deviation, omega = np.zeros(frequency.size), 2.0 * np.pi * frequency
-    for k, noise, pole, residue in _poles_near_lines(value, omega, error):
+    for k, pole, residue, noise in _poles_near_lines(value, omega, error):
         distance = 1j * omega[k] - pole
         change = abs(residue) * abs(1.0 / distance - 1.0 / (1j * omega[k - 1] - pole))
         is_significant = change > max(noise, _ROUNDING_RATIO * abs(value[k]))
@@ -74,7 +74,7 @@ def hidden_transient(value: ComplexArray, frequency: Array, window_s: Array, err
     [2e-05, 7e-05]
     """
     hidden, omega = COVERAGE_FACTOR * error, 2.0 * np.pi * frequency
-    for k, _, pole, _ in _poles_near_lines(value, omega, error):
+    for k, pole, _, _ in _poles_near_lines(value, omega, error):
         exponent = (pole - 1j * omega[k]) * window_s[k]
         mean = abs(np.expm1(exponent) / exponent)
         mean_square = np.expm1(2.0 * exponent.real) / (2.0 * exponent.real)
@@ -85,8 +85,8 @@ def hidden_transient(value: ComplexArray, frequency: Array, window_s: Array, err
 
 def _poles_near_lines(
     value: ComplexArray, omega: Array, error: Array
-) -> Iterator[tuple[int, float, ComplexArray, ComplexArray]]:
-    """Yield each line with poles near it: its number, the noise of the fit, the poles [rad/s] and their residues."""
+) -> Iterator[tuple[int, ComplexArray, ComplexArray, float]]:
+    """Yield each line with poles near it: its number, the poles [rad/s], their residues, and the error of the fit."""
     n_points = _POINTS_TWO_POLES if omega.size >= _POINTS_TWO_POLES else _POINTS_ONE_POLE
     if omega.size < n_points or not np.diff(omega).all():
         return
@@ -103,7 +103,7 @@ def _poles_near_lines(
         is_resolved = abs(omega[k] - omega[max(k - 1, 0)]) < _MAX_SPACING_RATIO * abs(distance)
         relevant = (pole.real < 0.0) & is_near & is_resolved
         if relevant.any():
-            yield k, noise, pole[relevant], residue[relevant]
+            yield k, pole[relevant], residue[relevant], noise
 
 
 def _local_poles(

@@ -25,6 +25,7 @@ from daq.extras.viewer.rerun_viewer import (
     require_display,
     viewer,
 )
+from rig.core.base.ending_signals import delayed_interrupt
 from rig.core.base.errors import RunError, SceneError
 from rig.core.base.output_files import atomic_write, prepare_outputs, temporary_folder
 from rig.core.base.progress import FractionProgress
@@ -185,7 +186,9 @@ def server(announce: Callable[[str], None]) -> Iterator[Viewer]:
 @contextmanager
 def recording_stream() -> Iterator[rr.RecordingStream]:
     """Yield a new stream, which is flushed to its viewer or file at the end."""
-    stream = rr.RecordingStream(APPLICATION, recording_id=uuid4())
+    # Python prints an exception if a stream is deleted that an interrupt left incomplete.
+    with delayed_interrupt():
+        stream = rr.RecordingStream(APPLICATION, recording_id=uuid4())
     try:
         yield stream
     finally:

@@ -129,11 +129,10 @@ def linear_limits(scene: Scene, frequency: Array) -> Array:
     response = riding_response(system, scene.at_driven("shaker"), omega)
     beds, gap = response[system.damper_coordinate], system.gap_coordinate[: system.dampers]
     beds[gap >= 0] += response[gap[gap >= 0]]
-    walls = [element for element in system.elements if element.distance < np.inf and not element.law.starts_at_rest]
+    gaps, distance = _gaps_between_walls(system, response)
     with np.errstate(divide="ignore"):
-        drives = [system.separation_acceleration[:, None] / (omega**2 * np.abs(beds))]
-        drives += [np.asarray(wall.distance / np.abs(wall.along_gap(response.T)))[None] for wall in walls]
-    drive = np.concatenate(drives).min(axis=0)
+        to_separation = system.separation_acceleration[:, None] / (omega**2 * np.abs(beds))
+        drive = np.concatenate([to_separation, distance[:, None] / gaps]).min(axis=0)
     return np.asarray(drive * abs(response[: scene.structure.bodies]))
 
 
@@ -144,10 +143,15 @@ def gaps_per_level(scene: Scene, system: HybridSystem, omega: Array) -> tuple[Ar
     (elements, frequencies), in m per unit of level, and (elements,) [m].
     """
     response = riding_response(system, scene.at_driven("shaker"), omega) * drive_per_level(scene, system, omega)
+    return _gaps_between_walls(system, response)
+
+
+def _gaps_between_walls(system: HybridSystem, response: ComplexArray) -> tuple[Array, Array]:
+    """Return the amplitudes of gaps in a response, and their distances from the nearer wall, see `gaps_per_level`."""
     elements = [element for element in system.elements if element.distance < np.inf and not element.law.starts_at_rest]
     distance = [element.distance for element in elements]
     gaps = [np.abs(element.along_gap(response.T)) for element in elements]
-    return np.array(gaps).reshape(-1, len(omega)), np.array(distance)
+    return np.array(gaps).reshape(-1, response.shape[1]), np.array(distance)
 
 
 def with_ideal_force(scene: Scene) -> Scene:

@@ -6,7 +6,7 @@ amplitude of the force or drive) in one *direction*, up or down.
 """
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import NamedTuple
 from weakref import WeakKeyDictionary
@@ -311,7 +311,18 @@ def _resolution(rec: Recording, names: Sequence[str], mean: ComplexArray, noise:
 
 def _compute(request: Request) -> list[Response]:
     """Estimate the response of each requested sweep."""
-    return request.compute(sweep.lines for sweep in _selected_sweeps(request))
+    selected = _selected_sweeps(request)
+    responses = request.compute(sweep.lines for sweep in selected)
+    return [_add_simultaneous(response, sweep.windows) for response, sweep in zip(responses, selected, strict=True)]
+
+
+def _add_simultaneous(response: Response, windows: NDArray[np.int64]) -> Response:
+    """Replace the loading of each tone with the sum of the tones in its window, whose peaks coincide at some time."""
+    if response.loading is None:
+        return response
+    _, window = np.unique(windows[:, 0], return_inverse=True)
+    sums = np.asarray(np.bincount(window, response.loading), dtype=np.float64)
+    return replace(response, loading=sums[window])
 
 
 def _selected_sweeps(request: Request) -> list[Sweep]:

@@ -57,8 +57,8 @@ class Response(ResponseArithmetic, Sequence["Response"]):
     amplitude : ndarray, shape (n,), or None
         Amplitude of the input at each line, if it is a tone. With dampers, the value is valid at this amplitude only.
     loading : ndarray, shape (n,), or None
-        Motion at each line relative to that at which a damper or joint ends the linear motion, as a bed at 1 g; None if
-        it is unknown.
+        Motion at each line relative to that at which a damper or joint ends the linear motion, as a bed at 1 g. The sum
+        of simultaneous tones; None if it is unknown.
     omitted : ndarray, shape (m,)
         Frequencies of the test without a line [Hz].
     resolution : float

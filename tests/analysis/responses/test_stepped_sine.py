@@ -27,8 +27,9 @@ def test_response_to_ideal_stepped_sine_is_exact(tmp_path):
             np.testing.assert_allclose(frf.value, exact, rtol=1e-9)
 
 
-def test_groups_of_tones_at_once_ascend(tmp_path):
-    scene, groups, count = synthetic.scene(), [[33.3, 20.0], [24.0, 41.0]], 5120
+def record_groups(path, scene, groups):
+    """Record groups of simultaneous tones of linear motion, one group after another."""
+    count = 5120
     blocks, marks = [], []
     for number, frequencies in enumerate(groups):
         motions = receptance(scene, frequencies)
@@ -37,11 +38,26 @@ def test_groups_of_tones_at_once_ascend(tmp_path):
         limits = number * count, (number + 1) * count - 1
         marks += [("measure", *limits, {"frequency": each, "level": 1.0}) for each in frequencies]
     samples = np.concatenate(blocks, axis=1)
-    path = synthetic.write(tmp_path / "r.mcap", scene, synthetic.channels(), samples, marks)
-    with daq.open(path) as rec:
+    return synthetic.write(path, scene, synthetic.channels(), samples, marks)
+
+
+def test_groups_of_tones_at_once_ascend(tmp_path):
+    scene = synthetic.scene()
+    with daq.open(record_groups(tmp_path / "r.mcap", scene, [[33.3, 20.0], [24.0, 41.0]])) as rec:
         response = analysis.frfs(rec)
     assert response.frequency.tolist() == [20.0, 24.0, 33.3, 41.0]
     assert response["body3"].value == pytest.approx(receptance(scene, response.frequency)[2], rel=1e-9)
+
+
+def test_loading_of_tones_at_once_adds_up(tmp_path):
+    scene = synthetic.scene().replace(dampers=[{"body": 3, "mass": "50 g", "clearance": "2 mm"}])
+    loadings = []
+    for name, groups in (("alone", [[20.0], [24.0], [33.3], [41.0]]), ("groups", [[33.3, 20.0], [24.0, 41.0]])):
+        with daq.open(record_groups(tmp_path / f"{name}.mcap", scene, groups)) as rec:
+            loadings.append(analysis.frfs(rec).loading)
+    (first, second, third, fourth), together = loadings
+    expected = [first + third, second + fourth, first + third, second + fourth]
+    np.testing.assert_allclose(together, expected, rtol=1e-9)
 
 
 def test_repeated_frequencies_have_a_peak(tmp_path):

@@ -231,6 +231,12 @@ class TestController:
         tone = procedure.frequency_at(test, self.progress)
         return (self.settings.low, self.settings.high) if tone is None else (tone, tone)
 
+    @property
+    def tone(self) -> float | None:
+        """Frequency of the tone of the running test [Hz]; None for other tests and while the test settles."""
+        low, high = (self.running and self.excited_band()) or (None, 0.0)
+        return low if low == high else None
+
     def start(self, single_impact: bool = False) -> None:
         """Start the test that the settings describe; on failure `message` states the reason.
 
@@ -435,15 +441,14 @@ class LiveBench:
 
         Without a running test or task, the level is that of the newest sample, not that of the last test.
         """
-        lines, band = [], self.controller.excited_band() if self.controller.running else None
+        lines = []
         levels, is_idle = self.monitor.drive_levels(), not self.controller.running and not self.chassis.outputs
         if is_idle:
             levels = [(float(value), 0.0) for value in np.abs(self.monitor.drive_history.last(1)[:, 0])]
         for number, ((peak, frequency), drive_per_volt) in enumerate(
             zip(levels, self.chassis.terminals.drive_per_volt, strict=False), 1
         ):
-            if frequency and band and band[0] == band[1]:
-                frequency = band[0]
+            frequency = frequency and (self.controller.tone or frequency)
             tone = f", {frequency:.4g} Hz" if frequency else " (held)" if is_idle and peak else ""
             lines.append(f"output {number}: {peak / drive_per_volt:.4g} V{tone}")
         return lines

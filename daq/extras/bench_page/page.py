@@ -155,6 +155,7 @@ class Page:
             "remaining": controller.remaining,
             "target": controller.target if controller.tests else None,
             "force": controller.force,
+            "tone": controller.tone,
             "level_kind": controller.level_kind,
             "details": controller.details,
             "lag": bench.lag,
@@ -185,8 +186,7 @@ class Page:
     def _add_response(self, content: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> None:
         """Add the live frequency response if it has changed."""
         frf, test = self._monitor.frf, self._controller.tests
-        low, high = (self._controller.running and self._controller.excited_band()) or (0.0, np.inf)
-        tone = low if low == high else None
+        tone = self._controller.tone
         # At the end of a test, the peaks near its last tone are added.
         version = test, tone is None, None if frf is None else (id(frf), frf.version)
         if version == self._shown_version:

@@ -224,7 +224,7 @@ def test_texts_and_scales_suit_the_values(bench, browser):
     # Noise at ±180° does not cross the chart.
     assert value("Array.from(wrapped(Float32Array.of(180, 0, -170)))") == [-180, 0, -170]
     assert value("withInterval(4.276, 1.96)") == "4.3 ± 2.0"
-    assert value("levelText({target: 200, level_kind: 'peak', force: null})") == "200 N peak"
+    assert value("levelText({target: 200, level_kind: 'peak', force: null})") == "of 200 N peak"
     note = "response.note({hits: [], running: true, frf_reason: ''})"
     assert "1 average: no γ²" in value(f"(response.head = {{averages: 1}}, {note})")
     # The phase of a single hit, without coherence, is drawn where it changes little from line to line.
@@ -249,14 +249,13 @@ def test_texts_and_scales_suit_the_values(bench, browser):
     assert value(clipped.replace("READING", "588.4")) == "60 g, limit 50 g"
     # An undetermined value has no phase.
     row = "{magnitude: [1e-4, 2e-4], phase: [-251, -80], relation: [0, 0], determined: [1, 0], angular: [1, 0]}"
-    assert value(f"[0, 1].map((k) => response.cell({row}, k))") == ["100 µm/N\n109°", "~200 µm/N\n–"]
+    assert value(f"[0, 1].map((k) => response.cell({row}, k))") == ["100\n109°", "~200\n–"]
     # A test without an accepted impact has its verdict instead of curves.
     rejected = "{hits: [[1, 9, ['clipped'], false, true, [0, 1, 2]]], running: false, frf_reason: ''}"
     hint = f"(response.head = null, response.note({rejected}), $('hint').textContent)"
     assert value(hint) == "No accepted impact: 3 channels clipped. Lower the level."
-    # The limits of the coherence, the scatter of a single impact, and the amplitude of a tone.
-    texts = "[[0.7, 0.95], []].map((limit) => scatterText({limit, force: [NaN]}))"
-    assert value(texts) == ["uncertain (γ² < 0.7 to 0.95, or phase scatters)", "one impact: scatter unknown"]
+    # The scatter of a single impact, and the amplitude of a tone.
+    assert value("scatterText({limit: [NaN], force: [NaN]})") == "one impact: scatter unknown"
     assert value("clientForce({force: Float32Array.of(NaN, 0.617)})") == "NI clients, 0.873 N amplitude"
     assert value("clientForce({force: new Float32Array(9).fill(0.5)})") == "NI clients, 0.5 N rms"
     # A fault is final, a weak pulse may still rise.
@@ -333,6 +332,8 @@ def test_touch_screen_has_hints_for_touch(bench, browser):
     assert "two taps" in value("CURSOR_HINT")
     # Before a test the page has its message instead of empty axes.
     assert value("[$('hint'), $('frf')].map((each) => each.checkVisibility())") == [True, False]
+    browser.find_element(By.ID, "theory").click()
+    wait_for(browser, lambda: value("[$('hint'), $('frf')].map((each) => each.checkVisibility())") == [False, True])
     # The last two taps are the cursors.
     browser.execute_script(
         "$('response').classList.remove('empty'); response.chart.draw();"

@@ -97,8 +97,8 @@ function panels(kind, x, values, log) {
     const idle = roundUp(Math.max(smallest, ...rows.map((row) => 1e-3 * factor * (channels[row].limit ?? 0))));
     const panel = { name, log, smallest: idle, share: rows.length > 1 ? 2 : 1, curves };
     const [low, high] = limits(panel);
-    // A spectrum shows three decades below its highest line, or below the smallest full scale.
-    panel.range = steady(`${kind} ${key}`, log ? [Math.max(high, idle) * 1e-3, Math.max(high, idle)] : [low, high]);
+    // A spectrum shows five decades, so that noise is visible.
+    panel.range = steady(`${kind} ${key}`, log ? [Math.max(high, idle) * 1e-5, Math.max(high, idle)] : [low, high]);
     const shown = inMillimeters(panel);
     return { ...shown, name: `${AXIS_QUANTITIES[shown.name] ?? ""}${shown.name}` };
   });
@@ -119,7 +119,7 @@ function receive(content) {
     channels = content.description.channels;
     histories = new Chart($("history"), { name: "time / s", log: false });
     spectra = new Chart($("spectrum"), { name: "frequency / Hz", log: true });
-    for (const name of ["history-legend", "spectrum-legend"]) fillLegend($(name), channels);
+    fillLegend($("history-legend"), channels);
     response.start(channels, content.description.is_linear);
     levels.start(channels);
     for (const part of [controls, bar, rig]) part.start(content.description);

@@ -35,7 +35,7 @@ const controls = {
     $("clear").addEventListener("click", () => send("clear"));
     $("record").addEventListener("change", () => send("record", $("record").checked));
     $("freeze").addEventListener("click", () => freeze());
-    $("hit").hidden = $("hit-key").hidden = $("hit-panel").hidden = !hasHammer;
+    $("hit").hidden = $("hit-key").hidden = $("hit-panel").hidden = !($("readout").hidden = hasHammer);
     for (const span of SPANS) {
       const button = make($("spans"), "button", `${span} s`);
       button.title = `Show the last ${span} s`;

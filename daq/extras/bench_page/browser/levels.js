@@ -2,17 +2,19 @@
 "use strict";
 
 const HOLD_MS = 3000;
-const FLOOR_DB = -80;
+const FLOOR_DB = -120; // the noise of a sensor is visible
 
 const levels = {
   start(channels) {
     this.rows = channels.map((channel) => {
       const name = make($("levels"), "span", channel.name), level = make($("levels"), "div"), value = make($("levels"), "span", "–");
-      level.className = "level";
-      level.style.setProperty("--channel", channel.color);
-      value.className = "value";
+      for (const [part, kind] of [[name, "name"], [level, "level"], [value, "value"]]) {
+        part.className = kind;
+        part.style.setProperty("--channel", channel.color);
+      }
       const limit = channel.limit == null ? "no limit" : `full scale ${withUnit(channel.limit, channel.unit)}`;
       name.title = level.title = value.title = `${channel.name}: peak of the last 0.25 s; white: held peak; ${limit}; from ${FLOOR_DB} to 0 dB`;
+      if (channel.limit != null) make(value, "small", ` of ${withUnit(channel.limit, channel.unit)}`);
       return { channel, name, bar: make(level, "i"), hold: make(level, "b"), value, held: 0, since: 0, over: false };
     });
     make($("levels"), "span");

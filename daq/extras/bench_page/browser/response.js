@@ -9,9 +9,10 @@ const response = {
   start(channels, isLinear) {
     this.channels = channels.filter((channel) => channel.responds);
     this.isLinear = isLinear;
-    if (!isLinear) $("theory").nextSibling.data = " linear theory, no dampers – –";
+    if (!isLinear) $("theory").nextSibling.data = " linear theory, no dampers · · ·";
     setText("damping-kind", isLinear ? "half-power damping, 95 %" : "approximate: nonlinear");
     this.chart = new Chart($("frf"), { name: "frequency / Hz", log: false });
+    this.describe();
     fillLegend($("legend"), this.channels);
     make($("legend"), "small").id = "thin";
     $("frf").addEventListener("click", (event) => {
@@ -37,7 +38,7 @@ const response = {
         // A single average has a smooth phase, but an unknown scatter.
         return { ...channel, magnitude: magnitude[k], phase: angle, coherence: coherence[k], relation: arrays.relation[k], smooth, determined: smooth.map((each, line) => each && isFinite(limit[line])) };
       });
-      this.curves = { test: head.test, level: head.level, limit: limit.filter(isFinite).sort(), force: arrays.force[0], frequency: frequency[0], rows };
+      this.curves = { test: head.test, level: head.level, limit, force: arrays.force[0], frequency: frequency[0], rows };
     }
     if ($("theory").checked && this.band?.join() !== head.band?.join()) send("theory");
     this.band = head.band;
@@ -52,7 +53,7 @@ const response = {
 
   // A text on the content of the chart, or on the reason why it is empty.
   note(state) {
-    $("response").classList.toggle("empty", !state.running && !this.curves && !this.previous);
+    $("response").classList.toggle("empty", !state.running && !this.curves && !this.previous && !(this.theory && $("theory").checked));
     const averages = this.head?.averages;
     this.details = state.details;
     const [last] = state.hits, empty = last ? (last[4] ? "no accepted impact" : "after this impact") : state.running ? "after settling" : "start a test";
@@ -74,25 +75,26 @@ const response = {
 
   draw() {
     const micro = (values) => Float32Array.from(values, (value) => 1e6 * value);
-    const { curves, previous, theory } = this, magnitude = [], phase = [], coherence = [];
+    const { curves, previous, theory } = this, magnitude = [], phase = [];
+    const coherence = curves ? [{ x: curves.frequency, y: curves.limit, color: LAST, dash: [5, 4], width: 1 }] : [];
     $("last").parentNode.hidden = !previous;
     const showsLast = previous && $("last").checked;
-    if (showsLast) for (const row of previous.rows) magnitude.push({ x: previous.frequency, y: micro(row.magnitude), color: row.color, width: 1, opacity: 0.45 });
-    const isClipped = curves?.rows.some((row) => row.relation.some(Boolean));
-    setText("thin", [curves ? [curves.level == null ? clientForce(curves) : `${digits(curves.level, 3)} N`, `Δf ${digits(curves.frequency[1] - curves.frequency[0], 2)} Hz`, this.details].filter(Boolean).join(", ") : "", isClipped ? "dashed: clipped; arrow: side of the true value" : "", curves ? `thin: ${scatterText(curves)}` : "", showsLast ? `pale: last test${previous.level == null ? "" : `, ${digits(previous.level, 3)} N`}` : ""].filter(Boolean).join("; "));
+    if (showsLast) for (const row of previous.rows) magnitude.push({ x: previous.frequency, y: micro(row.magnitude), color: LAST, width: 1, opacity: 0.8 });
+    const isSingle = !curves?.limit.some(isFinite), isClipped = curves?.rows.some((row) => row.relation.some(Boolean));
+    setText("thin", [curves ? [curves.level == null ? clientForce(curves) : `${digits(curves.level, 3)} N`, `Δf ${digits(curves.frequency[1] - curves.frequency[0], 2)} Hz`, this.details].filter(Boolean).join(", ") : "", isClipped ? "dashed: clipped; arrow: side of the true value" : "", curves ? `thin: ${scatterText(curves)}` : "", showsLast ? `gray: last test${previous.level == null ? "" : `, ${digits(previous.level, 3)} N`}` : ""].filter(Boolean).join("; "));
     if (theory && $("theory").checked) {
-      theory.rows.forEach((row, k) => magnitude.push({ x: theory.frequency, y: micro(row), color: this.channels[k].color, dash: [7, 4], width: 1, opacity: 0.6 }));
+      theory.rows.forEach((row, k) => magnitude.push({ x: theory.frequency, y: micro(row), color: `color-mix(in srgb, ${this.channels[k].color}, white 40%)`, dash: [2, 4], width: 1.2 }));
     }
     for (const [number, row] of (curves?.rows ?? []).entries()) {
       const style = { x: curves.frequency, color: row.color, dots: true, mark: number };
       const certain = row.smooth.map((each, k) => each && !row.relation[k]), angular = (row.angular = longRuns(certain, RUN, row.coherence)), only = (y, isShown) => y.map((value, k) => (isShown(k) ? value : NaN));
-      magnitude.push({ ...style, y: micro(row.magnitude), width: 0.9, opacity: 0.8, noisy: true });
+      magnitude.push({ ...style, y: micro(row.magnitude), width: 0.9, opacity: 0.6, noisy: true });
       magnitude.push({ ...style, y: only(micro(row.magnitude), (k) => row.relation[k]), width: 1.6, dash: [5, 4] });
-      magnitude.push({ ...style, y: only(micro(row.magnitude), (k) => certain[k]), width: curves.limit.length ? 1.8 : 0.9 });
+      magnitude.push({ ...style, y: only(micro(row.magnitude), (k) => certain[k]), width: isSingle ? 0.9 : 1.8 });
       // The line is interrupted where the phase wraps; a few lines between two such positions are no curve.
       const drawn = longRuns(angular.map((each, k) => each && !(Math.abs(row.phase[k] - row.phase[k - 1]) > 180)), PIECE);
-      phase.push({ ...style, y: only(row.phase, (k) => drawn[k]), width: curves.limit.length ? 1.6 : 0.9 });
-      coherence.push({ ...style, y: row.coherence, width: 0.9, opacity: 0.8 }, { ...style, y: only(row.coherence, (k) => certain[k]) }, { ...style, y: only(row.coherence, (k) => row.relation[k]), dash: [5, 4] });
+      phase.push({ ...style, y: only(row.phase, (k) => drawn[k]), width: isSingle ? 0.9 : 1.6 });
+      coherence.push({ ...style, y: row.coherence, width: 0.9, opacity: 0.6 }, { ...style, y: only(row.coherence, (k) => certain[k]) }, { ...style, y: only(row.coherence, (k) => row.relation[k]), dash: [5, 4] });
       // Arrows at the highest clipped point show on which sides of it the true value may be.
       const highest = row.magnitude.reduce((best, value, k) => (row.relation[k] && value > (row.magnitude[best] || 0) ? k : best), -1);
       if (highest >= 0) magnitude.push({ x: [curves.frequency[highest]], y: Float32Array.of(1e6 * row.magnitude[highest]), color: AMBER, width: 2, arrows: [[1], [-1], [1, -1]][row.relation[highest] - 1] });
@@ -103,10 +105,10 @@ const response = {
     // The axis is logarithmic unless the band is narrow, as in figures and report.
     this.chart.x.log = range[1] >= 2 * range[0] && range[0] > 0;
     this.chart.show(range, [
-      { name: "|compliance| / (µm/N)", log: true, share: 4.4, curves: magnitude, range: [low, isClipped ? 2 * high : high] },
-      { name: "phase / °", range: [-345, 45], ticks: fixed([-270, -180, -90, 0]), curves: phase },
+      { name: "|compliance| / (µm/N)", log: true, share: 4, curves: magnitude, range: [low, isClipped ? 2 * high : high] },
+      { name: "phase / °", range: [-345, 45], ticks: fixed([-270, -180, -90, 0]), share: 1.3, curves: phase },
       // A single average has no coherence.
-      ...(curves?.rows.every((row) => row.coherence.every(isNaN)) ? [] : [{ name: "γ²", range: [0, 1.2], ticks: fixed([0, 0.5, 1]), share: 0.6, curves: coherence }]),
+      ...(curves && isSingle ? [] : [{ name: "γ²", range: [0, 1.2], ticks: fixed([0, 0.5, 1]), share: 0.8, curves: coherence }]),
       ...(curves ? this.forcePanel(curves) : []),
     ]);
     this.describe();
@@ -118,7 +120,7 @@ const response = {
     if (force.filter(isFinite).length < (level == null ? FEW : 1)) return [];
     const required = level == null ? [] : [{ x: [frequency[0], frequency[frequency.length - 1]], y: Float32Array.of(level, level), color: LAST, dash: [5, 4], width: 1 }];
     const largest = roundUp(Math.max(level ?? 0, ...force.filter(isFinite)));
-    return [{ name: level == null ? "rms / N" : "force / N", range: [0, largest], ticks: [[0, true], [largest / 2, false], [largest, true]], share: 0.6, curves: [...required, { x: frequency, y: force, color: "#ffffff" }] }];
+    return [{ name: level == null ? "rms / N" : "force / N", range: [0, largest], ticks: [[0, true], [largest / 2, false], [largest, true]], share: 0.8, curves: [...required, { x: frequency, y: force, color: "#ffffff" }] }];
   },
 
   nearest(frequency) {
@@ -135,22 +137,22 @@ const response = {
   // The value and the phase of a curve at a line; uncertain values have the sign ~, and no phase if none is drawn.
   cell({ magnitude, phase, relation, determined: certain, angular }, k) {
     const sign = RELATIONS[relation[k]] || (certain[k] || !isFinite(magnitude[k]) ? "" : "~");
-    return `${sign}${withUnit(magnitude[k], "m/N")}\n${angular[k] ? `${digits(phase[k] < -180 ? phase[k] + 360 : phase[k], 3)}°` : "–"}`;
+    return `${sign}${digits(1e6 * magnitude[k], 3)}\n${angular[k] ? `${digits(phase[k] < -180 ? phase[k] + 360 : phase[k], 3)}°` : "–"}`;
   },
 
   // The values at the cursors, and the peak list.
   describe() {
     const { curves } = this, cursors = this.chart.cursors.map((f) => [f, curves?.frequency.indexOf(f) ?? -1]);
-    const columns = cursors.flatMap(([f, k], number) => (k < 0 ? [] : [["AB"[number], `${digits(f, 5)} Hz`,
-      ...curves.rows.map((row) => this.cell(row, k))]]));
-    if (columns.length > 1) {
+    const columns = cursors.flatMap(([f, k], number) => (k < 0 ? [] : [["AB"[number], digits(f, 5), ...curves.rows.map((row) => this.cell(row, k))]]));
+    setText("cursor-hint", columns.length ? "" : CURSOR_HINT);
+    if (!columns.length) columns.push(...["A", "B", "B − A"].map((name) => [name, "–", ...this.channels.map(() => "–")]));
+    else if (columns.length > 1) {
       const [[f, i], [g, k]] = cursors;
-      columns.push(["B − A", `${digits(g - f, 4)} Hz`, ...curves.rows.map((row) => `${row.determined[i] && row.determined[k] ? "" : "~"}${digits(20 * Math.log10(row.magnitude[k] / row.magnitude[i]), 3)} dB`)]);
+      columns.push(["B − A", digits(g - f, 4), ...curves.rows.map((row) => `${row.determined[i] && row.determined[k] ? "" : "~\u2009"}${digits(20 * Math.log10(row.magnitude[k] / row.magnitude[i]), 3)}`)]);
     }
-    const names = ["", "f", ...(curves?.rows ?? []).map((row) => row.name)];
-    fillTable($("cursors"), columns.length ? names.map((name, k) => [name, ...columns.map((column) => column[k])]) : [[CURSOR_HINT]]);
+    fillTable($("cursors"), ["", "f / Hz", ...this.channels.map((channel) => channel.name)].map((name, k) => [name, ...columns.map((column) => column[k])]));
     const peaks = this.head?.peaks ?? [];
-    if (!peaks.length) return $("peaks").replaceChildren();
+    $("peak-hint").hidden = peaks.length > 0;
     const uncertain = peaks.map((peak) => this.isUncertain(peak));
     fillTable($("peaks"), [["peak", "f / Hz", "µm/N", "ζ / %"], ...peaks.map(([f, value, damping, expanded, name, relation], k) => [
       name, digits(f, 5), relation === "?" ? "clipped" : `${relation || (uncertain[k] ? "~" : damping == null ? "≥ " : "")}${digits(1e6 * value, 3)}`,
@@ -187,10 +189,10 @@ function clientForce({ force }) {
   return known.length ? `NI clients, ${digits(Math.max(...known) * (isTone ? Math.SQRT2 : 1), 3)} N ${isTone ? "amplitude" : "rms"}` : "";
 }
 
-// The reason why a curve is thin, with the limits of the coherence.
+// The reason why a curve is thin.
 function scatterText({ limit, force }) {
-  if (!limit.length) return `one ${force.some(isFinite) ? "average" : "impact"}: scatter unknown`;
-  return `uncertain (γ² < ${[...new Set([limit[0], limit.at(-1)].map((each) => digits(each, 2)))].join(" to ")}, or phase scatters)`;
+  if (limit.some(isFinite)) return "γ² below dashed limit, or phase scatters";
+  return `one ${force.some(isFinite) ? "average" : "impact"}: scatter unknown`;
 }
 
 // Remove runs of few lines or with a low coherence, unless there are no other runs, as with a few tones.

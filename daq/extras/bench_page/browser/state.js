@@ -17,7 +17,9 @@ const bar = {
     $("progress").hidden = progress == null;
     $("progress").querySelector("i").style.width = `${100 * (progress ?? 0)}%`;
     $("progress").lastChild.textContent = progress == null ? "" : `${Math.floor(100 * progress)} %${remaining == null ? "" : `, ${Math.ceil(remaining)} s left`}`;
-    setText("force", state.running ? levelText(state) : "");
+    setText("tone", `${digits(state.tone)} Hz`);
+    setText("measured", `${digits(state.running ? state.force : null, 3)} N`);
+    setText("force", state.running ? levelText(state) : "measured force");
     setText("lag", state.lag < 0.04 ? "" : `${Math.round(1000 * state.lag)} ms late`);
     $("lag").classList.toggle("bad", state.lag >= 0.25);
     this.showRecording(state);
@@ -74,7 +76,7 @@ function isJudged([, , faults, , complete]) {
   return complete || faults.some((fault) => fault !== "too weak");
 }
 
-// The level of the test, and the measured level as soon as it is known.
+// The level of the test, and the deviation of the measured level as soon as it is known.
 function levelText({ target, level_kind: kind, force }) {
-  return `${digits(target, 3)} N ${kind}${force == null ? "" : `, measured ${digits(force, 3)} N (${force < target ? "−" : "+"}${Math.abs(100 * (force / target - 1)).toFixed(1)} %)`}`;
+  return `of ${digits(target, 3)} N ${kind}${force == null ? "" : `\n(${force < target ? "−" : "+"}${Math.abs(100 * (force / target - 1)).toFixed(1)} %)`}`;
 }

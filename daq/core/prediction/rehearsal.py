@@ -59,6 +59,8 @@ class Step:
     stop: int  # index of the sample after the last
     frequency: float  # Hz
     settled: bool  # whether the steady state was reached
+    is_measurement: bool
+    is_evaluated: bool  # whether its extremes and impacts are stored
 
 
 class ShakerLoad(NamedTuple):
@@ -111,6 +113,7 @@ class Rehearsal(BenchLoop):
         self.closing_speed = np.zeros(len(scene.dampers))
         # Times of the impacts of each damper [s].
         self.impact_times: list[list[float]] = [[] for _ in scene.dampers]
+        self._next_stored_s = [-1.0] * len(scene.dampers)  # time from which an impact is stored next [s]
         self.steps: list[Step] = []
         # Last measured interval without a constant tone: its first sample, and the sample after its last.
         self.measured: tuple[int, int] | None = None
@@ -131,6 +134,12 @@ class Rehearsal(BenchLoop):
             self.aborted = str(reason)
         self.seconds = self.station.now / self.rate
         return self
+
+    def is_measured(self, sample: int) -> bool:
+        """Return whether a sample belongs to the measurement of a tone, or to a measured sweep."""
+        if self.measured is not None and sample >= self.measured[0]:
+            return True
+        return any(step.first <= sample < step.stop for step in self.steps if step.is_measurement)
 
     def frequency_at(self, sample: int) -> float | None:
         """Return the frequency of the tone at a sample [Hz]; None if there is no single tone."""
@@ -181,9 +190,9 @@ class Rehearsal(BenchLoop):
             if number == 0 or speed == 0.0:
                 continue
             self.closing_speed[number - 1] = max(self.closing_speed[number - 1], speed)
-            times = self.impact_times[number - 1]
-            if not times or time - times[-1] > _MIN_IMPACT_INTERVAL_S:
-                times.append(time)
+            if time > self._next_stored_s[number - 1]:
+                self.impact_times[number - 1].append(time)
+                self._next_stored_s[number - 1] = time + _MIN_IMPACT_INTERVAL_S
 
     def on_window(self, first: int, drive: Array, overload: NDArray[np.bool_]) -> None:
         """Update the extremes of the drives, and the overloads."""
@@ -197,9 +206,12 @@ class Rehearsal(BenchLoop):
         """Store the tones and the sweep of the test."""
         if kind in ("settle", "measure") and "frequency" in fields:
             settled = bool(fields.get("settled", True))
-            self.steps.append(Step(first, stop, float(fields["frequency"]), settled))
-            self._excluded_dwells -= kind == "measure" and self._excluded_dwells > 0
-            if kind == "measure":
+            is_measurement, is_evaluated = kind == "measure", not self._excluded_dwells
+            self.steps.append(Step(first, stop, float(fields["frequency"]), settled, is_measurement, is_evaluated))
+            self._excluded_dwells -= is_measurement and not is_evaluated
+            # The first impact of the next step is stored.
+            self._next_stored_s = [stop / self.rate] * len(self._next_stored_s)
+            if is_measurement:
                 measured = [maxima for block_first, maxima in self._block_maxima if block_first >= first]
                 self.measured_readings = np.max([self.measured_readings, *measured], axis=0)
             self._block_maxima.clear()

@@ -115,39 +115,66 @@ def accelerations_per_drive(scene: Scene, places: Sequence[str], omega: Array) -
 
 def accelerations_per_level(scene: Scene, system: HybridSystem, omega: float | Array) -> Array:
     """Return accelerations of bodies per level [m/s²] with resting dampers; (bodies,) + omega.shape; `omega`: rad/s."""
-    response = riding_response(system, scene.at_driven("shaker"), omega) * drive_per_level(scene, system, omega)
-    return omega**2 * np.abs(response[: scene.structure.bodies])
+    return omega**2 * np.abs(_response_per_level(scene, system, omega)[: scene.structure.bodies])
+
+
+def _response_per_level(scene: Scene, system: HybridSystem, omega: float | Array) -> ComplexArray:
+    """Return the complex amplitudes of the states per unit of level with resting dampers; (states,) + omega.shape."""
+    gain = drive_per_level(scene, system, omega)
+    return np.asarray(riding_response(system, scene.at_driven("shaker"), omega) * gain)
+
+
+def damper_accelerations(scene: Scene, system: HybridSystem, omega: Array) -> Array:
+    """Return the accelerations of all dampers at rest [m/s²] per level; (dampers, frequencies)."""
+    return _damper_accelerations(system, _response_per_level(scene, system, omega), omega)
+
+
+def _damper_accelerations(system: HybridSystem, response: ComplexArray, omega: Array) -> Array:
+    """Return the accelerations of dampers in a response [m/s²]: a bed on a compliant wall moves more than its body."""
+    displacements, gap = response[system.damper_coordinate], system.gap_coordinate[: system.dampers]
+    displacements[gap >= 0] += response[gap[gap >= 0]]
+    return np.asarray(omega**2 * np.abs(displacements))
 
 
 def linear_limits(scene: Scene, frequency: Array) -> Array:
     """Return the amplitudes of the bodies at which linear motion ends [m], shape (bodies, frequencies).
 
-    At these amplitudes, a bed reaches 1 g, a mass on a spring its wall, friction its limit, or the first joint closes
-    or slips. A bed on a compliant wall moves more than its body. `frequency`: Hz.
+    `frequency`: Hz. See `separation_levels`.
     """
     system, omega = assemble(scene), 2.0 * np.pi * frequency
     response = riding_response(system, scene.at_driven("shaker"), omega)
-    beds, gap = response[system.damper_coordinate], system.gap_coordinate[: system.dampers]
-    beds[gap >= 0] += response[gap[gap >= 0]]
+    return np.asarray(_separation_drive(system, response, omega) * abs(response[: scene.structure.bodies]))
+
+
+def separation_levels(scene: Scene, frequency: Array) -> Array:
+    """Compute the level at which the linear motion with resting dampers ends.
+
+    At this level a bed reaches 1 g, a mass on a spring its wall, friction its limit, or the first joint closes or
+    slips. `frequency`, shape (frequencies,): Hz. Returns shape (frequencies,), N, or the unit of the drive.
+    """
+    system, omega = assemble(scene), 2.0 * np.pi * frequency
+    return _separation_drive(system, _response_per_level(scene, system, omega), omega)
+
+
+def _separation_drive(system: HybridSystem, response: ComplexArray, omega: Array) -> Array:
+    """Return the factor by which a response is multiplied where linear motion ends, shape (frequencies,)."""
     gaps, distance = _gaps_between_walls(system, response)
     with np.errstate(divide="ignore"):
-        to_separation = system.separation_acceleration[:, None] / (omega**2 * np.abs(beds))
-        drive = np.concatenate([to_separation, distance[:, None] / gaps]).min(axis=0)
-    return np.asarray(drive * abs(response[: scene.structure.bodies]))
+        to_separation = system.separation_acceleration[:, None] / _damper_accelerations(system, response, omega)
+        return np.asarray(np.concatenate([to_separation, distance[:, None] / gaps]).min(axis=0))
 
 
-def gaps_per_level(scene: Scene, system: HybridSystem, omega: Array) -> tuple[Array, Array]:
-    """Return the amplitude of the gap of each element that rests between walls, and its distance from the nearer wall.
+def gaps_per_level(scene: Scene, system: HybridSystem, omega: Array) -> Array:
+    """Return the amplitude of the gap of each element that rests between walls, in m per unit of level.
 
-    For a joint with friction, the slip displacement replaces the wall. `omega`: rad/s, shape (frequencies,). Shapes:
-    (elements, frequencies), in m per unit of level, and (elements,) [m].
+    For a joint with friction, the slip displacement replaces the wall. `omega`: rad/s, shape (frequencies,). Shape of
+    the result: (elements, frequencies).
     """
-    response = riding_response(system, scene.at_driven("shaker"), omega) * drive_per_level(scene, system, omega)
-    return _gaps_between_walls(system, response)
+    return _gaps_between_walls(system, _response_per_level(scene, system, omega))[0]
 
 
 def _gaps_between_walls(system: HybridSystem, response: ComplexArray) -> tuple[Array, Array]:
-    """Return the amplitudes of gaps in a response, and their distances from the nearer wall, see `gaps_per_level`."""
+    """Return the amplitudes of gaps between walls in a response, and their distances from the nearer wall [m]."""
     elements = [element for element in system.elements if element.distance < np.inf and not element.law.starts_at_rest]
     distance = [element.distance for element in elements]
     gaps = [np.abs(element.along_gap(response.T)) for element in elements]

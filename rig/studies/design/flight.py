@@ -8,10 +8,12 @@ import numpy as np
 from rig.core.orbits.problem import OrbitProblem
 from rig.core.results import format_number
 from rig.core.scene.scene import Scene
+from rig.core.system.assembly import assemble
+from rig.core.system.open_loop_drive import damper_accelerations
 from rig.studies.design.choice import Objective, Trial
 from rig.studies.design.ranking import EQUAL_DB
 from rig.studies.design.worst_peak import Peak, response_at_level
-from rig.studies.motion_map.grid import damper_accelerations, natural_frequencies, select_frequencies
+from rig.studies.motion_map.grid import natural_frequencies, select_frequencies
 
 #: Dampers are effective if they reduce the peak by at least this value [dB].
 EFFECTIVE_DB = 1.0
@@ -41,7 +43,8 @@ class Flight:
 def compute_flight(objective: Objective, trial: Trial, is_ceiling_unreached: bool) -> Flight:
     """Compute the separation level of a trial's dampers, and their flight height if they do not reach the ceiling."""
     scene = _damped_scene(objective, trial)
-    accelerations = damper_accelerations(scene, _frequencies(objective, trial)).max(axis=1)
+    omega = 2.0 * np.pi * _frequencies(objective, trial)
+    accelerations = damper_accelerations(scene, assemble(scene), omega).max(axis=1)
     # The damper that takes off at the lowest level.
     first = int(accelerations.argmax())
     take_off = float(scene.gravity / accelerations[first])

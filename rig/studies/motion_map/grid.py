@@ -7,7 +7,7 @@ from rig.core.base.errors import SceneError
 from rig.core.scene.scene import Scene
 from rig.core.settings.quantities import FORCE, LENGTH, Kind, count
 from rig.core.system.assembly import assemble
-from rig.core.system.open_loop_drive import accelerations_per_level, gaps_per_level, level_of
+from rig.core.system.open_loop_drive import damper_accelerations, gaps_per_level, level_of, separation_levels
 from rig.core.system.structural_model import structural_model
 
 #: Default number of frequencies.
@@ -94,29 +94,6 @@ def _test_range(scene: Scene) -> tuple[float, float]:
     return band if low < high else (0.8 * low, 1.2 * low)
 
 
-def separation_levels(scene: Scene, frequency: Array) -> Array:
-    """Compute the level at which the linear motion with resting dampers ends.
-
-    At this level a bed reaches 1 g, a mass on a spring its wall, friction its limit, or the first joint closes or
-    slips. `frequency`, shape (frequencies,): Hz. Returns shape (frequencies,), N, or the unit of the drive.
-    """
-    system = assemble(scene)
-    take_off = system.separation_acceleration[np.isfinite(system.separation_acceleration)]
-    gaps, distance = gaps_per_level(scene, system, 2.0 * np.pi * frequency)
-    levels = [take_off[:, None] / damper_accelerations(scene, frequency), distance[:, None] / gaps]
-    return np.asarray(np.concatenate(levels).min(axis=0))
-
-
-def damper_accelerations(scene: Scene, frequency: Array) -> Array:
-    """Compute the acceleration of each damper that can leave its floor, per unit of level [m/s²].
-
-    All these dampers are on their floors. `frequency`: Hz. Returns shape (dampers, frequencies).
-    """
-    system = assemble(scene)
-    bodies = system.damper_coordinate[np.isfinite(system.separation_acceleration)]
-    return np.stack([accelerations_per_level(scene, system, 2.0 * np.pi * f)[bodies] for f in frequency], axis=1)
-
-
 def select_row_values(
     scene: Scene,
     over: str,
@@ -155,13 +132,13 @@ def _levels(scene: Scene, frequency: Array) -> tuple[float, tuple[float, float]]
 def _clearances(scene: Scene, frequency: Array) -> tuple[float, tuple[float, float]]:
     """Return the scene's own clearance (geometric mean of several) and the ends of the default range [m]."""
     system, level = assemble(scene), level_of(scene)
-    gaps, _ = gaps_per_level(scene, system, 2.0 * np.pi * frequency)
-    displacement = level * float(gaps.max(initial=0.0))
-    accelerations = damper_accelerations(scene, frequency)
+    omega, rests = 2.0 * np.pi * frequency, np.isfinite(system.separation_acceleration)
+    displacement = level * float(gaps_per_level(scene, system, omega).max(initial=0.0))
+    accelerations = damper_accelerations(scene, system, omega)[rests]
     if accelerations.size:
         accelerations = accelerations.max(axis=0)
         peak = int(np.argmax(accelerations))
-        displacement = level * float(accelerations[peak]) / (2.0 * np.pi * frequency[peak]) ** 2
+        displacement = level * float(accelerations[peak]) / omega[peak] ** 2
     clearances = system.clearance[np.isfinite(system.clearance)]
     scene_clearance = float(np.exp(np.log(clearances).mean())) if len(clearances) else displacement
     return scene_clearance, _range_around(

@@ -25,9 +25,9 @@ from rig.core.scene.scene import Scene
 from rig.core.settings.quantities import FREQUENCY, positive_values
 from rig.core.steady_response.frequency_response import SteadyContinuation
 from rig.core.system.assembly import assemble
-from rig.core.system.open_loop_drive import level_of, with_ideal_force
+from rig.core.system.open_loop_drive import level_of, separation_levels, with_ideal_force
 from rig.core.system.structural_model import structural_model
-from rig.studies.motion_map.grid import select_frequencies, select_row_values, separation_levels, vertical_axis
+from rig.studies.motion_map.grid import select_frequencies, select_row_values, vertical_axis
 
 if TYPE_CHECKING:
     import xarray

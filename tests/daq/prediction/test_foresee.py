@@ -1,5 +1,6 @@
 """`daq.foresee` predicts a test: maxima against closed form and recordings, limits, suitable levels, flights, noise."""
 
+import re
 import warnings
 from pathlib import Path
 from typing import Any
@@ -28,6 +29,7 @@ VOLTS_PER_UNIT = 0.1 / 9.80665  # sensitivity of the accelerometer, V per m/s^2
 STEPS = {"kind": "stepped_sine", "from": "10 Hz", "to": "40 Hz", "points": 150, "force": "1 N"}
 
 
+HEAVY_DAMPER = {"body": 1, "mass_ratio": "5 %", "clearance": ".inf"}
 V203_SPRING = 6600.0  # N/m
 
 
@@ -294,18 +296,52 @@ def test_random_level_within_weak_amplifier_is_not_clipped(level, tmp_path: Path
 
 
 def test_damper_flies_where_its_body_exceeds_gravity() -> None:
-    damper = {"body": 1, "mass_ratio": "5 %", "clearance": ".inf"}
     test = {"kind": "stepped_sine", "from": "10 Hz", "to": "40 Hz", "points": 16, "force": "3 N"}
-    scene = one_body(test, dampers=[damper])
+    scene = one_body(test, dampers=[HEAVY_DAMPER])
     frequencies = np.array(scene.test.order)
     response = abs(receptance(scene, frequencies, riding=[1])[0])
     above_gravity = frequencies[3.0 * (2 * np.pi * frequencies) ** 2 * response > scene.gravity]
     (line,) = daq.foresee(scene).flights
-    assert line == f"damper 1 (body 1) flies at {above_gravity[0]:g} to {above_gravity[-1]:g} Hz"
+    assert line.split(";")[0] == f"damper 1 (body 1) flies at {above_gravity[0]:g} to {above_gravity[-1]:g} Hz"
     (line,) = daq.foresee(scene.replace(structure=scene.structure.replace(names=["arm"]))).flights
     assert line.startswith("damper 1 (arm) flies at")
     (line,) = daq.foresee(scene.replace(test={**test, "force": "0.2 N"})).flights
     assert "stays on its floor" in line
+
+
+def test_flight_before_steady_state_is_no_steady_flight() -> None:
+    scene = one_body({**TONE, "frequency": "17 Hz", "force": "1 N"}, dampers=[HEAVY_DAMPER])
+    onset = 1.0 / np.abs(receptance(scene, np.array([17.0]), riding=[1])[0, 0]) / (2 * np.pi * 17) ** 2 * scene.gravity
+    # The transient of a tone that starts at its full amplitude adds to the steady motion.
+    test = {"kind": "sine", "frequency": "17 Hz", "duration": "8 s", "force": 0.9 * onset}
+    assert daq.foresee(scene.replace(test=test)).flights == (
+        "damper 1 (body 1) flies only before the steady state at 17 Hz",
+    )
+    (line,) = daq.foresee(scene.replace(test={**test, "force": 1.1 * onset})).flights
+    assert line == "damper 1 (body 1) flies at 17 Hz"
+
+
+@pytest.mark.parametrize(
+    "points", [{"frequencies": [15, 18, 21, 24]}, {"from": "15 Hz", "to": "24 Hz", "points": 4}], ids=["list", "range"]
+)
+def test_flight_between_points_names_points_to_add(points) -> None:
+    scene = one_body({"kind": "stepped_sine", **points, "force": "0.8 N"}, dampers=[HEAVY_DAMPER])
+    grid = np.arange(18.0, 21.0, 0.001)
+    accelerations = 0.8 * (2 * np.pi * grid) ** 2 * abs(receptance(scene, grid, riding=[1])[0])
+    flying = grid[accelerations > scene.gravity]
+    (line,) = daq.foresee(scene).flights
+    low, high = map(float, re.search(r"between points at ([\d.]+) to ([\d.]+) Hz", line).groups())
+    np.testing.assert_allclose([low, high], [flying[0], flying[-1]], atol=0.03)
+    if "points" in points:
+        added = {**points, "points": int(re.search(r"test.points: (\d+)", line)[1])}
+    else:
+        listed = re.search(r"Add (.*) Hz to test.frequencies", line)[1].split(", ")
+        added = {"frequencies": sorted([*points["frequencies"], *map(float, listed)])}
+    scene = scene.replace(test={"kind": "stepped_sine", **added, "force": "0.8 N"})
+    tones = np.array(scene.test.order)
+    assert ((tones > flying[0] - 0.03) & (tones < flying[-1] + 0.03)).sum() >= 3
+    (line,) = daq.foresee(scene).flights
+    assert "between" not in line and line.startswith("damper 1 (body 1) flies at")
 
 
 def test_smallest_signal_is_that_of_weakest_tone() -> None:

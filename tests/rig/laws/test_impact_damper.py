@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import rig
+from rig.core.system.open_loop_drive import separation_levels
 from rig.core.system.structural_model import receptance
-from rig.studies.motion_map.grid import separation_levels
 
 
 def one_body(**damper: Any) -> rig.Scene:

@@ -11,8 +11,9 @@ import rig
 from rig.core.orbits.periodic_orbit import set_to_orbit, start_propagator
 from rig.core.orbits.problem import OrbitProblem
 from rig.core.system.assembly import assemble
+from rig.core.system.open_loop_drive import separation_levels
 from rig.core.system.structural_model import receptance
-from rig.studies.motion_map.grid import separation_levels, vertical_axis
+from rig.studies.motion_map.grid import vertical_axis
 
 MASS, STIFFNESS, MASS_RATIO = 1.0, 4e3, 0.05
 MIXED = {"body": 2, "mass_ratio": "6 %", "clearance": "0.98 mm"}

@@ -9,8 +9,8 @@ import pytest
 import rig
 from rig.core.base.errors import SceneError
 from rig.core.system.assembly import assemble
+from rig.core.system.open_loop_drive import separation_levels
 from rig.core.system.structural_model import receptance
-from rig.studies.motion_map.grid import separation_levels
 
 
 def two_bodies(*joints: dict[str, Any], force: float = 10.0, **changes: Any) -> rig.Scene:

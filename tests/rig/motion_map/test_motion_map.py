@@ -12,9 +12,9 @@ import rig
 from rig.core.base.errors import SceneError
 from rig.core.base.output_files import create_folder
 from rig.core.settings.quantities import LENGTH
-from rig.core.system.open_loop_drive import with_ideal_force
+from rig.core.system.open_loop_drive import separation_levels, with_ideal_force
 from rig.core.system.structural_model import receptance
-from rig.studies.motion_map.grid import select_frequencies, select_row_values, separation_levels, vertical_axis
+from rig.studies.motion_map.grid import select_frequencies, select_row_values, vertical_axis
 from rig.studies.motion_map.motion_map import KINDS, summarize_map, write_map
 from tests.rig.grains.scenes import with_grains
 from tests.rig.this_process import pieces_in_this_process
@@ -70,6 +70,15 @@ def test_take_off_level_accelerates_damper_at_1_g() -> None:
     np.testing.assert_allclose(
         separation_levels(scene, frequency), separation_levels(with_ideal_force(scene), frequency), rtol=1e-6
     )
+
+
+def test_compliant_floor_lowers_take_off_level() -> None:
+    scene = with_ideal_force(rig.load("fig8-three-dampers", {"dampers[1].contact": {"duration": "20 ms"}}))
+    [level] = separation_levels(scene.replace(dampers=scene.dampers[:1]), np.array([18.0]))
+    for factor, is_flying in ((0.98, False), (1.02, True)):
+        test = {"kind": "sine", "frequency": 18.0, "force": factor * level}
+        response = rig.frequency_response(scene.replace(dampers=scene.dampers[:1], test=test), [18.0])
+        assert (response.impacts.sum() > 0) == is_flying, factor
 
 
 def test_rows_include_value_of_scene_and_take_off() -> None:

@@ -1,6 +1,7 @@
 """A series of tones, each measured in steady state."""
 
-from collections.abc import Iterable
+import math
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from pydantic import Field
@@ -20,6 +21,11 @@ from rig.core.scene.excitation.kind import (
 )
 from rig.core.settings.problems import Problem
 from rig.core.settings.settings import Settings
+
+# Number of points in a band between two points in which dampers move: they determine a peak within it.
+_POINTS_PER_BAND = 3
+# A test with more than this multiple of the points takes too long; the bands are then measured in a separate test.
+_MAX_DENSITY = 10
 
 
 class Measure(Settings):
@@ -82,6 +88,24 @@ class SteppedTest(KindOfTest):
     def band(self) -> tuple[float, float]:
         """Lowest and highest frequency [Hz]."""
         return min(self.order), max(self.order)
+
+    def remedy_between(self, bands: Sequence[tuple[float, float]]) -> str:
+        """Return the instruction to add points within bands (lowest and highest frequency, Hz) without a point."""
+        if self.frequencies is not None:
+            added = [
+                f"{low + k / (_POINTS_PER_BAND + 1) * (high - low):.5g}"
+                for low, high in bands
+                for k in range(1, _POINTS_PER_BAND + 1)
+            ]
+            return f"Add {', '.join(dict.fromkeys(added))} Hz to test.frequencies."
+        lowest, highest = self.band
+        coordinate = math.log if self.spacing == "log" else float
+        narrowest = min(coordinate(high) - coordinate(low) for low, high in bands)
+        points = 1 + math.ceil(_POINTS_PER_BAND * (coordinate(highest) - coordinate(lowest)) / narrowest)
+        if points <= min(_MAX_DENSITY * len(self.order), MAX_STEPS):
+            return f"Set test.points: {points} for {_POINTS_PER_BAND} points there."
+        ranges = " and ".join(f"{low:.6g} to {high:.6g} Hz" for low, high in bands)
+        return f"Measure {ranges} in a separate test."
 
     @property
     def details(self) -> tuple[str, ...]:

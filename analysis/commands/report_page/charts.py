@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, field
 from itertools import count
 from typing import Any, NamedTuple
@@ -34,6 +34,8 @@ _VERTICAL_MARGIN = 0.15
 # Longer notes of a chart are folded [characters].
 _MAX_KEY = 300
 _DEFAULT_STYLE = body_style(1)
+# Style of a prescribed value, such as the required force.
+REQUIRED = CurveStyle("#6E7681", (2, 2))
 
 
 @dataclass(frozen=True)
@@ -62,6 +64,12 @@ class Curve:
     # "arrows", or a dotted "path" through them in their order; "pale": undetermined line. The readout contains only
     # values of "points" and "line".
     draw: str = "line"
+
+
+def symbol_curves(name: str, style: CurveStyle, draw: str, points: Iterable[tuple[float, float]]) -> list[Curve]:
+    """Return a curve of symbols at points; empty if there are no points."""
+    x, y = np.array([*points]).reshape(-1, 2).T
+    return [Curve(name, x, y, style=style, draw=draw)] if x.size else []
 
 
 class Mark(NamedTuple):

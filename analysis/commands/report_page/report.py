@@ -12,17 +12,14 @@ from string import Template
 from analysis.commands.presentation.outputs import CommandOutput, check_outputs, output_stem, with_ending
 from analysis.commands.report_page.charts import ChartWriter
 from analysis.commands.report_page.control import control_charts
+from analysis.commands.report_page.dampers import damper_charts
+from analysis.commands.report_page.decays import decay_charts
 from analysis.commands.report_page.drawing import mode_drawing, rig_drawing
 from analysis.commands.report_page.histories import spectrograms, time_histories
 from analysis.commands.report_page.levels import level_table
 from analysis.commands.report_page.measurements import Measurement, Measurements
-from analysis.commands.report_page.responses import (
-    damper_charts,
-    decay_charts,
-    force_charts,
-    response_charts,
-    stabilization_charts,
-)
+from analysis.commands.report_page.responses import force_charts, response_charts
+from analysis.commands.report_page.stabilization import stabilization_charts
 from analysis.commands.report_page.summary import limitations, summarize
 from analysis.commands.report_page.tables import (
     budget,

@@ -1,15 +1,14 @@
-"""Charts of a report: frequency responses, damper motion and free decays."""
+"""Charts of a report: frequency responses, and the force of their tests."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from math import inf
 
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.commands.figures.decay_figure import frequency_title, group_modes
 from analysis.commands.figures.determined_lines import LINES_PER_GAP, MAX_MARKED, folds_back
 from analysis.commands.figures.frf_figure import (
     break_at_wraps,
@@ -20,6 +19,7 @@ from analysis.commands.figures.frf_figure import (
 )
 from analysis.commands.figures.peak_marks import MODE_SHIFT, PEAK_SYMBOLS, PeakMark, drawn_response, peak_label
 from analysis.commands.report_page.charts import (
+    REQUIRED,
     Chart,
     Curve,
     Mark,
@@ -27,36 +27,22 @@ from analysis.commands.report_page.charts import (
     Strip,
     limits_with_margin,
     needs_logarithmic_axis,
-    side_limits,
+    symbol_curves,
 )
 from analysis.commands.report_page.measurements import Measurement, SweepResults, force_deviation
-from analysis.core.decays.free_decay import Decay
-from analysis.core.decays.modal_decay import ModalDecay
 from analysis.core.recordings.names import acquisition_text, belongs_to, excitation_text, without_common_direction
 from analysis.core.responses.estimator import Blocks
 from rig.core.base.arrays import Array, ComplexArray
-from rig.core.base.palette import (
-    BASELINE,
-    DAMPER,
-    CurveStyle,
-    faded,
-    location_style,
-    location_styles,
-    recording_styles,
-)
+from rig.core.base.palette import CurveStyle, faded, location_styles, recording_styles
 from rig.core.numerics.runs import ranges_of
 from rig.core.results import format_frequencies, format_percent
 from rig.core.results.response import Response
 from rig.core.scene.excitation import FORCE_TOLERANCE
 
-_REQUIRED = CurveStyle("#6E7681", (2, 2))
-_UNDETERMINED = CurveStyle("#9aa2ab")
 # Upper end of the axis of relative expanded uncertainties.
 _MAX_PERCENT = 100.0
 # The first view of a wide band extends from this fraction of the lowest to this multiple of the highest mode.
 _VIEW_RATIO = 4.0
-# A stable pole belongs to a mode if their frequencies differ by at most this fraction.
-_MODE_WIDTH = 0.05
 # A long curve is reduced to the highest and the lowest point of this number of intervals.
 _INTERVALS = 1200
 
@@ -79,15 +65,13 @@ def response_charts(measurements: Sequence[Measurement], baseline_name: str) -> 
     stated = set[str]()
     for key in dict.fromkeys((frf.ratio if several else frf.input) for frf in frfs):
         group = [frf for frf in frfs if key == (frf.ratio if several else frf.input)]
-        names = (
-            _sweep_names([frf.label for frf in group], baseline_name) if several else [frf.response for frf in group]
-        )
-        styles = _sweep_styles([frf.label for frf in group], baseline_name) if several else None
+        names = sweep_names([frf.label for frf in group], baseline_name) if several else [frf.response for frf in group]
+        styles = sweep_styles([frf.label for frf in group], baseline_name) if several else None
         sweeps = [sweep for measurement in with_responses for sweep in measurement.sweeps]
         marks = [marked for frf in group for sweep in sweeps for each, marked in sweep.marked if each is frf]
         baseline = next((each for each in with_responses if each.label == baseline_name), with_responses[0]).sweeps[0]
         band = np.concatenate([frf.frequency for frf in group])
-        view = None if baseline.modes is None else _first_view(band, baseline.modes.frequency)
+        view = None if baseline.modes is None else first_view(band, baseline.modes.frequency)
         # Names of levels are short enough for labels.
         levels = names if several and len(with_responses) == 1 else [""] * len(group)
         labels = _mode_marks(sweeps, baseline, group, styles, levels)
@@ -116,13 +100,13 @@ def _test_text(measurement: Measurement) -> str:
     return ", ".join(filter(None, [excitation_text(rec), estimate]))
 
 
-def _sweep_names(labels: Sequence[str], baseline_name: str) -> list[str]:
+def sweep_names(labels: Sequence[str], baseline_name: str) -> list[str]:
     """Return names of recordings and levels for a legend; only the levels if all sweeps are from one recording."""
     common = f"{baseline_name}, " if all(belongs_to(label, baseline_name) for label in labels) else ""
     return without_common_direction([label.removeprefix(common) for label in labels])
 
 
-def _sweep_styles(labels: Sequence[str], baseline_name: str) -> list[CurveStyle]:
+def sweep_styles(labels: Sequence[str], baseline_name: str) -> list[CurveStyle]:
     """Return the styles of recordings that are compared with the baseline, or of the levels of a single recording."""
     of_baseline = [belongs_to(label, baseline_name) for label in labels]
     return recording_styles([each and (len(labels) == 1 or not all(of_baseline)) for each in of_baseline])
@@ -135,7 +119,7 @@ def _mode_marks(
     styles: Sequence[CurveStyle] | None,
     levels: Sequence[str],
 ) -> list[Mark]:
-    """Label modes and other peaks of sweeps at the mode's highest peak; several curves have labels in their colors."""
+    """Mark each mode, and each other peak, at its highest point; labels of several curves have the curves' colors."""
     # The labels of the first curve are first. `levels`: names of the curves in the labels, or empty texts.
     marks = list[tuple[int, Mark]]()
     for sweep in sweeps if styles else [baseline]:
@@ -214,10 +198,10 @@ def response_chart(
             magnitude.append(through)
             phase.append(Curve(name, *line, style=style, draw="through"))
         unsteady = np.zeros(f.size, dtype=bool) if frf.unsteady is None else frf.unsteady
-        magnitude += _symbols(name, style, "crosses", zip(f[unsteady], modulus[unsteady], strict=True))
+        magnitude += symbol_curves(name, style, "crosses", zip(f[unsteady], modulus[unsteady], strict=True))
         for symbol in PEAK_SYMBOLS:
             places = [(mark.frequency, factor * mark.height) for mark in found if mark.symbol == symbol]
-            magnitude += _symbols(name, style, symbol, places)
+            magnitude += symbol_curves(name, style, symbol, places)
         if draw == "line":
             phase.append(Curve(name, *line, style=style))
         else:
@@ -253,12 +237,6 @@ def response_chart(
     )
 
 
-def _symbols(name: str, style: CurveStyle, draw: str, points: Iterable[tuple[float, float]]) -> list[Curve]:
-    """Return a curve of symbols at points; empty if there are no points."""
-    x, y = np.array([*points]).reshape(-1, 2).T
-    return [Curve(name, x, y, style=style, draw=draw)] if x.size else []
-
-
 def force_charts(measurements: Sequence[Measurement], baseline_name: str) -> list[Chart]:
     """Return a chart of the force of separate tones against frequency, with the tolerance of its controller."""
     sweeps = [
@@ -271,7 +249,7 @@ def force_charts(measurements: Sequence[Measurement], baseline_name: str) -> lis
     if not sweeps:
         return []
     labels = [frf.label for _, frf in sweeps]
-    names, styles = _sweep_names(labels, baseline_name), _sweep_styles(labels, baseline_name)
+    names, styles = sweep_names(labels, baseline_name), sweep_styles(labels, baseline_name)
     curves, outside = list[Curve](), list[str]()
     for (measurement, measured), name, style in zip(sweeps, names, styles, strict=True):
         frf = measured.sorted()
@@ -279,7 +257,7 @@ def force_charts(measurements: Sequence[Measurement], baseline_name: str) -> lis
         curves.append(Curve(name, frf.frequency, frf.amplitude, style=style, draw="points"))
         nearest = force_deviation(measurement, frf)
         is_outside = nearest > FORCE_TOLERANCE
-        curves += _symbols(
+        curves += symbol_curves(
             name, style, "circles", zip(frf.frequency[is_outside], frf.amplitude[is_outside], strict=True)
         )
         if is_outside.any():
@@ -290,8 +268,8 @@ def force_charts(measurements: Sequence[Measurement], baseline_name: str) -> lis
     for level in sorted({level for test in tests if test is not None for level in test.levels}):
         ends, force = [frequency.min(), frequency.max()], np.full(2, level)
         low, high = ((1.0 + sign * FORCE_TOLERANCE) * force for sign in (-1.0, 1.0))
-        curves.append(Curve(f"required {level:g} N", ends, force, low, high, _REQUIRED))
-    points = f"Circles, outside: {'; '.join(outside)}." if outside else "All points are within it."
+        curves.append(Curve(f"required {level:g} N", ends, force, low, high, REQUIRED))
+    points = f"Circles: out of tolerance ({'; '.join(outside)})." if outside else "All points are within the tolerance."
     return [
         Chart(
             f"Force at each frequency, and the required force with its tolerance of {format_percent(FORCE_TOLERANCE)}",
@@ -303,70 +281,10 @@ def force_charts(measurements: Sequence[Measurement], baseline_name: str) -> lis
     ]
 
 
-def stabilization_charts(measurements: Sequence[Measurement]) -> list[Chart]:
-    """Return the stabilization diagram of each recording's first sweep, all on one frequency axis."""
-    identified = [
-        (sweep, sweep.modes)
-        for measurement in measurements
-        for sweep in measurement.sweeps[:1]
-        if sweep.modes is not None and sweep.modes.chart
-    ]
-    if not identified:
-        return []
-    band = np.concatenate([sweep.frfs[0].frequency for sweep, _ in identified])
-    view = _first_view(band, np.concatenate([modes.frequency for _, modes in identified]))
-    charts, stated = [], set[str]()
-    for sweep, modes in identified:
-        poles = sorted(modes.chart, key=lambda pole: pole.frequency)
-        frequency, order, stable = np.array([(pole.frequency, pole.order, pole.stable) for pole in poles]).T
-        top = float(order.max())
-        ticks = np.arange(0.0, top + 1.0, 5.0).tolist()
-        is_near = (abs(frequency[:, None] / modes.frequency - 1.0) <= _MODE_WIDTH).any(axis=1)
-        # Poles are symbols, not points of a series, because poles of several orders have the same frequency.
-        kinds = {
-            ("new", "crosses"): stable == 0,
-            ("stable", "dots"): (stable > 0) & is_near,
-            ("stable, no mode", "circles"): (stable > 0) & ~is_near,
-        }
-        styles = {"crosses": _UNDETERMINED}
-        curves = [
-            curve
-            for (name, draw), selected in kinds.items()
-            for curve in _symbols(
-                name,
-                styles.get(draw, CurveStyle(BASELINE)),
-                draw,
-                zip(frequency[selected], order[selected], strict=True),
-            )
-        ]
-        texts = {float(natural): modes.frequency_label(k) for k, natural in enumerate(modes.frequency)}
-        texts |= {each.frequency: f"{each.frequency_label()}?" for each in modes.uncertain}
-        marks = [Mark(natural, 0.0, texts[natural]) for natural in sorted(texts)]
-        notes = [
-            "Dotted lines: the identified modes, each with a column of stable poles.",
-            "Two columns on either side of one line indicate a nonlinear mode.",
-            "Question marks: uncertain modes." * bool(modes.uncertain),
-            "Hollow: stable, but not identified as a mode." * any(curve.draw == "circles" for curve in curves),
-        ]
-        charts.append(
-            Chart(
-                f"{sweep.label}: poles of models of increasing order",
-                f"Stabilization diagram of {sweep.label}.",
-                [Panel("model order", "", curves, 130, limits=(0.0, 1.05 * top), ticks=ticks, marks=marks)],
-                logarithmic=needs_logarithmic_axis(band),
-                x_limits=(float(band.min()), float(band.max())),
-                x_view=view,
-                notes=[text for text in notes if text not in stated],
-            )
-        )
-        stated.update(notes)
-    return charts
-
-
-def _first_view(band: NDArray[np.float64], modes: NDArray[np.float64]) -> tuple[float, float] | None:
+def first_view(band: NDArray[np.float64], modes: NDArray[np.float64]) -> tuple[float, float] | None:
     """Return the part of a band around the modes that is shown first; None to show the whole band.
 
-    >>> _first_view(np.array([0.5, 2000.0]), np.array([13.0, 50.0]))
+    >>> first_view(np.array([0.5, 2000.0]), np.array([13.0, 50.0]))
     (3.25, 200.0)
     """
     low, high = float(band[band > 0].min()), float(band.max())
@@ -382,7 +300,7 @@ def _percent_limits(curves: Sequence[Curve]) -> tuple[float, float]:
 
 
 def _limits(curves: Sequence[Curve], view: tuple[float, float] | None = None) -> tuple[float, float]:
-    """Return the limits of a logarithmic axis that shows all values in a view, but not all intervals."""
+    """Return the limits of a logarithmic axis that shows all values in a view; intervals may be cut."""
     x, values = np.hstack([np.array([curve.x, curve.y], dtype=float) for curve in curves])
     low, high = view or (-inf, inf)
     values = values[np.isfinite(values) & (values > 0) & (x >= low) & (x <= high)]
@@ -401,134 +319,3 @@ def _extremes(f: NDArray[np.float64], value: Array | ComplexArray) -> NDArray[np
         int(start + find(piece)) for start, piece in zip(starts, pieces, strict=True) for find in (np.argmax, np.argmin)
     }
     return np.array(sorted(selected | {0, f.size - 1}), dtype=np.intp)
-
-
-def damper_charts(measurement: Measurement) -> list[Chart]:
-    """Return one chart for all sweeps: impacts per period on each body, and the energy share of all dampers."""
-    results = measurement.dampers
-    if not results:
-        return []
-    labels, is_single = [result.label for result in results], len(results) == 1
-    names = _sweep_names(labels, measurement.label)
-    styles = _sweep_styles(labels, measurement.label)
-    impacts: dict[str, list[Curve]] = {}
-    shares = list[Curve]()
-    frequencies = [result.sweep.lines.frequency for result in results]
-    draw = "dots" if any(each.size == 1 or folds_back(each) for each in frequencies) else "points"
-    for result, frequency, name, style in zip(results, frequencies, names, styles, strict=True):
-        order = np.arange(frequency.size) if draw == "dots" else np.argsort(frequency)
-        for motions in result.bodies:
-            place, count = motions[0].channel, np.array([sum(motion.impacts_per_period) for motion in motions])
-            label, at = (place, location_style(measurement.rec.channels[place].at)) if is_single else (name, style)
-            impacts.setdefault(place, []).append(Curve(label, frequency[order], count[order], style=at, draw=draw))
-        energy = result.energy
-        if energy is not None:
-            percent, bound = (_percent(part, energy.supplied)[order] for part in (energy.dampers, energy.expanded))
-            label, at = ("dampers", CurveStyle(DAMPER)) if is_single else (name, style)
-            value, low, high = np.clip([percent, percent - bound, percent + bound], 0.0, 100.0)
-            shares.append(Curve(label, frequency[order], value, low, high, at, draw))
-            shares += [replace(shares[-1], draw="through")] * (draw == "points")
-    # Each body has a panel: equal numbers of impacts would hide each other.
-    panels = [
-        Panel(
-            "impacts",
-            "",
-            curves,
-            80,
-            title=place,
-            limits=(0.0, 1.1 * max(2.0, *(float(np.nanmax(curve.y, initial=0.0)) for curve in curves))),
-        )
-        for place, curves in impacts.items()
-        if curves
-    ]
-    if shares:
-        panels.append(
-            Panel("share of energy", "%", shares, 150, limits=(-5.0, 105.0), ticks=[0.0, 25.0, 50.0, 75.0, 100.0])
-        )
-    if not panels:
-        return []
-    band = np.concatenate(frequencies)
-    return [
-        Chart(
-            f"“{measurement.label}” ({excitation_text(measurement.rec)}): impacts per period, and share of energy",
-            f"Damper impacts per period against frequency, {band.min():.4g} to {band.max():.4g} Hz.",
-            panels,
-            logarithmic=needs_logarithmic_axis(band),
-            x_limits=side_limits(band) if any(curve.draw == "dots" for curve in panels[0].curves) else None,
-            notes=[
-                "Impacts on floor and ceiling; gaps: no regular pattern; 0: none above the detection limit. Energy: "
-                "percentage of the supplied energy that the dampers dissipate (95 %)."
-            ],
-        )
-    ]
-
-
-def _percent(part: NDArray[np.float64], total: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.where(total > 0, 100.0 * part / np.where(total > 0, total, 1.0), np.nan)
-
-
-def decay_charts(measurements: Sequence[Measurement], baseline_name: str) -> list[Chart]:
-    """Return charts of the envelopes and energies of free decays, and of damping ratio against amplitude."""
-    labeled_decays = [
-        (measurement.label, measurement.decay) for measurement in measurements if measurement.decay is not None
-    ]
-    if not labeled_decays:
-        return []
-    envelopes, energies = [], []
-    is_baseline = [label == baseline_name for label, _ in labeled_decays]
-    for (label, result), style in zip(labeled_decays, recording_styles(is_baseline), strict=True):
-        envelopes.append(Curve(label, result.peak_time, result.peak, style=style))
-        step = max(result.time.size // _INTERVALS, 1)
-        energies.append(Curve(label, result.time[::step], result.energy[::step], style=style))
-    channels = ", ".join(dict.fromkeys(result.channel for _, result in labeled_decays))
-    ends = np.array([0.0, max(result.time[-1] for _, result in labeled_decays)])
-    envelopes.append(Curve("1 g", ends, np.full(2, labeled_decays[0][1].gravity), style=_REQUIRED))
-    charts = [
-        Chart(
-            f"Free decay of {channels}: peaks of the acceleration, and backward-integrated (Schroeder) energy",
-            f"Free decay of {channels} over {ends[-1]:.3g} s.",
-            [
-                Panel("acceleration peaks", "m/s²", envelopes, height=220, logarithmic=True),
-                Panel("energy", "dB", energies, height=160),
-            ],
-            x_name="time",
-            x_unit="s",
-        )
-    ]
-    groups = group_modes([result for _, result in labeled_decays])
-    if groups:
-        charts.append(_damping_chart(groups, labeled_decays, recording_styles(is_baseline)))
-    return charts
-
-
-def _damping_chart(
-    groups: Sequence[list[tuple[int, ModalDecay]]],
-    labeled_decays: Sequence[tuple[str, Decay]],
-    styles: Sequence[CurveStyle],
-) -> Chart:
-    """Return a chart of damping ratio against amplitude, with a panel for each mode; `groups`: from `group_modes`."""
-    panels = []
-    for group in groups:
-        known = np.concatenate([mode.percent[0][mode.percent[0] > 0] for _, mode in group])
-        lowest, highest = (float(known.min()) / 3.0, 3.0 * float(known.max())) if known.size else (0.1, 10.0)
-        curves = []
-        for index, mode in sorted(group, key=lambda pair: pair[0]):
-            order = np.argsort(mode.amplitude)
-            percent, expanded = (values[order] for values in mode.percent)
-            # A logarithmic axis has no zero, so the band ends at the axis.
-            low, high = np.maximum(percent - expanded, lowest), np.minimum(percent + expanded, highest)
-            label, amplitude, style = labeled_decays[index][0], mode.amplitude[order], styles[index]
-            differs = np.where(percent > expanded, percent, np.nan)
-            curves.append(Curve(label, amplitude, differs, low, high, style))
-            curves.append(Curve(label, amplitude, percent, style=style, draw="through"))
-        limits = lowest, highest
-        panels.append(Panel("ζ", "%", curves, 130, title=frequency_title(group), logarithmic=True, limits=limits))
-    return Chart(
-        "Damping ratio ζ of each mode against amplitude of the acceleration, with 95 % intervals",
-        "Damping ratio of each mode against the amplitude of the acceleration.",
-        panels,
-        x_name="amplitude",
-        x_unit="m/s²",
-        logarithmic=True,
-        notes=["Thin, with a band down to the axis: includes zero. Frequencies: those of the decay table."],
-    )

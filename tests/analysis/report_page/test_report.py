@@ -31,7 +31,8 @@ from analysis.commands.report_page.histories import time_histories
 from analysis.commands.report_page.levels import _highest_maximum, level_headline
 from analysis.commands.report_page.measurements import Measurement, Measurements, SweepChange, highest_peak
 from analysis.commands.report_page.report import page_title, write_report
-from analysis.commands.report_page.responses import force_charts, response_chart, response_charts, stabilization_charts
+from analysis.commands.report_page.responses import force_charts, response_chart, response_charts
+from analysis.commands.report_page.stabilization import stabilization_charts
 from analysis.commands.report_page.summary import limitations, summarize
 from analysis.commands.report_page.tables import change_text, changes_table, mac_table, motions, resonances
 from analysis.commands.report_page.tables import test_sentence as sentence_of

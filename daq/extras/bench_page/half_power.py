@@ -31,6 +31,8 @@ _MIN_WIDTH_LINES = 3.0
 _MIN_PHASE_DROP = np.radians(70.0)
 # Peaks below this fraction of the highest are not listed: damper impacts leave ripple there, which all impacts repeat.
 _SMALLEST_RATIO = 1e-3
+# Peaks with a coherence below its limit must exceed this fraction of the highest: noise has many smaller ones.
+_SMALLEST_UNCERTAIN_RATIO = 0.1
 # Peaks belong to one resonance if their frequencies differ by less than this fraction; dampers split its peak. A tone
 # at this distance has not passed the resonance, whose highest peak may still follow.
 _SAME_PEAK = 0.08
@@ -53,7 +55,7 @@ def largest_peaks(curves: LiveCurves, count: int, tone: float | None = None) -> 
     Peaks near the present frequency of a moving `tone` [Hz] are omitted. A peak with a coherence below its limit has no
     damping.
     """
-    candidates, limit = [], curves.coherence_limit
+    candidates, limit, highest = [], curves.coherence_limit, np.nanmax(np.abs(curves.value), initial=0.0)
     for name, response, coherence, relation in zip(
         curves.names, curves.value, curves.coherence, curves.relation, strict=True
     ):
@@ -61,6 +63,8 @@ def largest_peaks(curves: LiveCurves, count: int, tone: float | None = None) -> 
             error = np.sqrt((1.0 - coherence) / (2.0 * curves.count * coherence))
         for peak in live_peaks(curves.frequency, response, error, curves.value):
             k = np.searchsorted(curves.frequency, peak.frequency)
+            if coherence[k] < limit[k] and peak.value < _SMALLEST_UNCERTAIN_RATIO * highest:
+                continue
             if np.isfinite(coherence[k]) and (tone is None or abs(peak.frequency / tone - 1.0) > _SAME_PEAK):
                 if relation[k] or coherence[k] < limit[k] or not np.isfinite(peak.expanded):
                     peak = peak._replace(damping=None, expanded=0.0)

@@ -436,6 +436,13 @@ class LiveBench:
         """Time by which the bench is behind real time [s]."""
         return max(0.0, (time.time_ns() - self.chassis.time_ns(self.chassis.position)) * 1e-9)
 
+    @property
+    def drive_frequency(self) -> float | None:
+        """Frequency of the tone of the test, or of the first output that NI clients drive [Hz]."""
+        if not self.is_driven_by_clients:
+            return self.controller.tone
+        return next((frequency for _, frequency in self.monitor.drive_levels() if frequency), None)
+
     def outputs(self) -> list[str]:
         """Return a line for each output: peak in V, and frequency of the tone of the test, or else of the drive.
 

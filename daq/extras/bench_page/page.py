@@ -155,7 +155,7 @@ class Page:
             "remaining": controller.remaining,
             "target": controller.target if controller.tests else None,
             "force": controller.force,
-            "tone": controller.tone,
+            "tone": bench.drive_frequency,
             "level_kind": controller.level_kind,
             "details": controller.details,
             "lag": bench.lag,

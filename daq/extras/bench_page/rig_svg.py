@@ -85,7 +85,7 @@ class RigDrawing:
             parts.append(_group(f"rig/body_{body}", frame))
         parts += [_block(block) for block in view.stack.blocks if block.body is None]
         parts.append(_text(-0.14, -0.045, f"motion × {view.exaggeration:g}"))
-        top = _UNITS_PER_M * (view.stack.top + 0.1)
+        top = _UNITS_PER_M * (view.stack.top + 0.07)
         return f'<svg id="rig" viewBox="-150 {-top:.0f} 350 {top + 60:.0f}" role="img">' + "".join(parts) + "</svg>"
 
 

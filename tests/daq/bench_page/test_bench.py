@@ -402,6 +402,11 @@ def test_peak_list_names_highest_determined_channel():
     assert [(peak.name, round(peak.frequency, 1)) for peak in largest_peaks(curves, 4)] == [("a", 5.0), ("b", 12.0)]
     curves.coherence[:, f > 10.0] = np.nan
     assert [peak.name for peak in largest_peaks(curves, 4)] == ["a"]
+    # A small peak with a low coherence may be noise.
+    curves.coherence[:, f > 10.0] = 0.5
+    assert len(largest_peaks(curves, 4)) == 2
+    curves.value[:, f > 10.0] *= 0.5
+    assert len(largest_peaks(curves, 4)) == 1
 
 
 def test_unrelated_signals_rarely_exceed_the_coherence_limit():

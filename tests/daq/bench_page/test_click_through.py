@@ -254,10 +254,13 @@ def test_texts_and_scales_suit_the_values(bench, browser):
     rejected = "{hits: [[1, 9, ['clipped'], false, true, [0, 1, 2]]], running: false, frf_reason: ''}"
     hint = f"(response.head = null, response.note({rejected}), $('hint').textContent)"
     assert value(hint) == "No accepted impact: 3 channels clipped. Lower the level."
+    assert value("$('hint').checkVisibility()")
     # The scatter of a single impact, and the amplitude of a tone.
     assert value("scatterText({limit: [NaN], force: [NaN]})") == "one impact: scatter unknown"
-    assert value("clientForce({force: Float32Array.of(NaN, 0.617)})") == "NI clients, 0.873 N amplitude"
-    assert value("clientForce({force: new Float32Array(9).fill(0.5)})") == "NI clients, 0.5 N rms"
+    assert value("clientLevel({force: Float32Array.of(NaN, 0.5)})") == pytest.approx(
+        {"level": 0.5**0.5, "kind": "amplitude"}
+    )
+    assert value("clientLevel({force: new Float32Array(9).fill(0.5)})") == {"level": 0.5, "kind": "rms"}
     # A fault is final, a weak pulse may still rise.
     assert value("[['clipped'], ['too weak'], []].map((faults) => isJudged([1, 9, faults, false, false]))") == [
         True,

@@ -54,6 +54,7 @@ const response = {
   // A text on the content of the chart, or on the reason why it is empty.
   note(state) {
     $("response").classList.toggle("empty", !state.running && !this.curves && !this.previous && !(this.theory && $("theory").checked));
+    $("hint").hidden = state.running || this.curves || (this.theory && $("theory").checked);
     const averages = this.head?.averages;
     this.details = state.details;
     const [last] = state.hits, empty = last ? (last[4] ? "no accepted impact" : "after this impact") : state.running ? "after settling" : "start a test";
@@ -81,7 +82,7 @@ const response = {
     const showsLast = previous && $("last").checked;
     if (showsLast) for (const row of previous.rows) magnitude.push({ x: previous.frequency, y: micro(row.magnitude), color: LAST, width: 1, opacity: 0.8 });
     const isSingle = !curves?.limit.some(isFinite), isClipped = curves?.rows.some((row) => row.relation.some(Boolean));
-    setText("thin", [curves ? [curves.level == null ? clientForce(curves) : `${digits(curves.level, 3)} N`, `Δf ${digits(curves.frequency[1] - curves.frequency[0], 2)} Hz`, this.details].filter(Boolean).join(", ") : "", isClipped ? "dashed: clipped; arrow: side of the true value" : "", curves ? `thin: ${scatterText(curves)}` : "", showsLast ? `gray: last test${previous.level == null ? "" : `, ${digits(previous.level, 3)} N`}` : ""].filter(Boolean).join("; "));
+    setText("thin", [curves ? [curves.level == null ? `NI clients, ${digits(clientLevel(curves).level, 3)} N ${clientLevel(curves).kind}` : `${digits(curves.level, 3)} N`, `Δf ${digits(curves.frequency[1] - curves.frequency[0], 2)} Hz`, this.details].filter(Boolean).join(", ") : "", isClipped ? "dashed: clipped; arrow: side of the true value" : "", curves ? `thin: ${scatterText(curves)}` : "", showsLast ? `gray: last test${previous.level == null ? "" : `, ${digits(previous.level, 3)} N`}` : ""].filter(Boolean).join("; "));
     if (theory && $("theory").checked) {
       theory.rows.forEach((row, k) => magnitude.push({ x: theory.frequency, y: micro(row), color: `color-mix(in srgb, ${this.channels[k].color}, white 40%)`, dash: [2, 4], width: 1.2 }));
     }
@@ -184,9 +185,9 @@ const COHERENT_PHASE = 0.9, RUN = 12;
 const PIECE = 4; // lines of the shortest drawn piece of a phase between two wraps
 
 // The force of the lines that NI clients excite: the largest rms, or the amplitude of the largest of a few tones.
-function clientForce({ force }) {
+function clientLevel({ force }) {
   const known = force.filter(isFinite), isTone = known.length < FEW;
-  return known.length ? `NI clients, ${digits(Math.max(...known) * (isTone ? Math.SQRT2 : 1), 3)} N ${isTone ? "amplitude" : "rms"}` : "";
+  return { level: known.length ? Math.max(...known) * (isTone ? Math.SQRT2 : 1) : null, kind: isTone ? "amplitude" : "rms" };
 }
 
 // The reason why a curve is thin.

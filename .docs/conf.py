@@ -40,7 +40,16 @@ smartquotes = False
 default_role = "py:obj"
 myst_heading_anchors = 3
 numpydoc_show_class_members = False
-numpydoc_xref_param_type = False
+# Types that a package exports are links; other words of a type are text.
+numpydoc_xref_param_type = True
+numpydoc_xref_ignore = "all"
+numpydoc_xref_aliases = {
+    alias: f"{package}.{name}"
+    for package in ("rig", "daq", "analysis")
+    for name in import_module(package).__all__
+    if isinstance(getattr(import_module(package), name), type)
+    for alias in (name, f"{package}.{name}")
+}
 autodoc_typehints = "none"
 autodoc_member_order = "bysource"
 # Each example runs, and its figures and prints are shown.

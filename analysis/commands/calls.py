@@ -127,7 +127,7 @@ def frf(
     Returns
     -------
     Results of Response
-        For each sweep a matrix with a row for each output and a column for each input.
+        For each sweep a matrix [m/N] with a row for each output and a column for each input.
 
     Examples
     --------
@@ -179,7 +179,7 @@ def modes(
     Returns
     -------
     Results of Modes
-        Modes of each sweep. `analysis.mac` compares the shapes of two sweeps.
+        Natural frequencies [Hz], damping ratios and shapes of each sweep. `analysis.mac` compares shapes of two sweeps.
     """
     from analysis.core.modal.identification import identify
 
@@ -200,7 +200,7 @@ def dampers(recordings: Recordings, progress: CountProgress | None = None) -> Re
     Returns
     -------
     Results of Dampers
-        Result of each sweep.
+        Impacts per period and dissipated energy [J] at each frequency [Hz] of each sweep.
     """
     from analysis.commands.presentation.inputs import check_recording
     from analysis.core.damper_motion.dampers import dampers_in
@@ -229,7 +229,7 @@ def compare(recordings: Sequence[OneRecording], progress: CountProgress | None =
     Returns
     -------
     Comparison
-        Change of each peak with its 95 % interval.
+        Change of height [dB] and frequency [Hz] of each peak with its 95 % interval.
     """
     from analysis.commands.presentation.comparison import compare_peaks
 
@@ -341,7 +341,7 @@ def cost(
     Returns
     -------
     ChainStudy
-        Error and time of each variant.
+        Error (1: the value itself) and time [s] of each variant.
     """
     from analysis.studies.cost.study import chain_study
     from rig.core.scene.loading import scene_of

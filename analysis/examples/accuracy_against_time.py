@@ -51,4 +51,4 @@ axes = plt.subplots(layout="constrained")[1]
 axes.loglog(periods / 100.0, errors, "o-", label="measured")
 axes.loglog(periods / 100.0, errors[0] * np.sqrt(periods[0] / periods), "k:", label="1 / √duration")
 axes.set(xlabel="duration / s", ylabel="relative error of the compliance", title="tone of 100 Hz, 0.2 N")
-axes.figure.legend(loc="outside upper left", ncols=2)
+axes.figure.legend(loc="outside lower left", ncols=2)

@@ -30,6 +30,6 @@ axes = plt.subplots(layout="constrained")[1]
 theory.draw(axes)
 axes.plot(frequencies, 1e6 * abs(exact.compliance[body]), "k.", label="exact orbits")
 axes.set(xscale="linear", title="one damper, 3.3 N")
-axes.figure.legend(loc="outside upper left", ncols=4)
+axes.figure.legend(loc="outside lower left", ncols=4)
 highest = 1e6 * float(np.nanmax(abs(exact.compliance[body])))
 print(f"highest exact compliance of body {body + 1} in the band: {highest:.0f} µm/N")

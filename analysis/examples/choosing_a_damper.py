@@ -36,5 +36,5 @@ print(f"best of these clearances: {best} mm, {peaks.min():.0f} µm/N at {force}"
 axes = plt.subplots(layout="constrained")[1]
 axes.plot(clearances, peaks, "o-", label="damper in body 2")
 axes.plot(best, peaks.min(), "o", markersize=13, fillstyle="none", label=f"best of these: {best} mm")
-axes.figure.legend(loc="outside upper left", ncols=2)
+axes.figure.legend(loc="outside lower left", ncols=2)
 axes.set(xlabel="clearance / mm", ylabel="highest compliance / (µm/N)", ylim=(0.0, None), title=f"{force}, 47 to 51 Hz")

@@ -37,7 +37,7 @@ for decay, color in zip(decays, colors, strict=True):
         axes.text(0.98, 0.75, f"mode {number + 1}", ha="right", transform=axes.transAxes)
 panels[-1].set(xlabel="amplitude / (m/s²)")
 panels[0].set_title("impact test, 200 N")
-panels[0].figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper left", ncols=2)
+panels[0].figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower left", ncols=2)
 print(
     f"With dampers, the acceleration of body3 stays below 1 g from {decays[1].quiet_from:.2f} s on;\n"
     f"without dampers, from {decays[0].quiet_from:.2f} s on."

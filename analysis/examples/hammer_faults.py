@@ -62,4 +62,4 @@ for name, text in tests.items():
 above.set(xlim=(0, 400), ylim=(1e-2, 1), ylabel="force / (N s)")
 below.set(xlim=(0, 400), ylim=(1e-3, 1e3), xlabel="frequency / Hz", ylabel="compliance / (µm/N)")
 above.set_title("hammer, 200 N")
-figure.legend(*above.get_legend_handles_labels(), loc="outside upper left", ncols=3)
+figure.legend(*above.get_legend_handles_labels(), loc="outside lower left", ncols=3)

@@ -51,4 +51,4 @@ order = np.argsort(compared.curves.frequency)
 shown = order[abs(compared.curves.frequency[order] - 32.5) < 27.5]
 axes.semilogy(compared.curves.frequency[shown], 1e6 * abs(compared.predicted[2, shown]), "--", label="fitted model")
 axes.set(xlabel="frequency / Hz", ylabel="compliance of body 3 / (µm/N)", title="impact test without dampers, 200 N")
-axes.figure.legend(loc="outside upper left", ncols=2)
+axes.figure.legend(loc="outside lower left", ncols=2)

@@ -50,5 +50,5 @@ for name, scene in chains.items():
     )
 above.set(ylabel="reading / true value", ylim=(1e-3, 2))
 above.set_title("no damper, drive of 0.5 V")
-figure.legend(*above.get_legend_handles_labels(), loc="outside upper left", ncols=2)
+figure.legend(*above.get_legend_handles_labels(), loc="outside lower left", ncols=2)
 below.set(xlabel="frequency / Hz", ylabel="relative error")

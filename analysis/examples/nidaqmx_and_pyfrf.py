@@ -67,7 +67,7 @@ axes = plt.subplots(layout="constrained")[1]
 axes.semilogy(frequency, 1e6 * abs(receptance), label="nidaqmx and pyFRF, H1")
 axes.semilogy(frequency, 1e6 * abs(exact), "k--", label="exact")
 axes.set(xlabel="frequency / Hz", ylabel="compliance of the arm / (µm/N)", title="shaker, pseudo-random, 1 V rms")
-axes.figure.legend(loc="outside upper left", ncols=2)
+axes.figure.legend(loc="outside lower left", ncols=2)
 magnitude_error = np.median(abs(abs(receptance) / abs(exact) - 1.0))
 peak = frequency[np.argmax(abs(receptance))]
 print(f"resonance at {peak:.2f} Hz; median magnitude error of H1 {100 * magnitude_error:.1f} %")

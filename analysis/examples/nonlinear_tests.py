@@ -23,9 +23,10 @@ backbone = analysis.backbone(daq.record(scene, "backbone.mcap", overwrite=True))
 print(backbone)
 
 # %%
-# The response at a constant force of 1 N, measured from 51 Hz downward, and the exact orbits at this force. The figure
-# has the excitation frequency of phase resonance. Other modes contribute to its phase; the natural frequency printed
-# above is corrected for them, and is about 0.1 Hz higher at the highest level.
+# The response at a constant force of 1 N, measured from 51 Hz downward, and the exact orbits at this force. The
+# figure has the excitation frequency of phase resonance; its error bars are smaller than the marks. Other modes
+# contribute to its phase; the natural frequency printed above is corrected for them, and is about 0.1 Hz higher at
+# the highest level.
 band = (48.0, 51.0)
 curve_test = {"kind": "continuation", "from": band[1], "to": band[0], "at": "body 1", "force": 1.0}
 curve = analysis.continuation(daq.record(scene.replace(test=curve_test), "curve.mcap", overwrite=True))
@@ -39,7 +40,7 @@ for number, (branch, amplitude) in enumerate(zip(orbits.branches, amplitudes, st
     axes.plot(branch.value, 1e3 * amplitude, "#777777", lw=0.9, zorder=1, label=label)
 axes.plot(curve.frequency, 1e3 * curve.amplitude, "s", color="#AA4499", ms=3.5, label="measured at 1 N")
 backbone.draw(axes, label="backbone", color="black")
-axes.figure.legend(loc="outside upper left", ncols=3)
+axes.figure.legend(loc="outside lower left", ncols=3)
 exact = np.concatenate(amplitudes)
 exact_frequency = np.concatenate([branch.value for branch in orbits.branches])
 order = np.argsort(exact_frequency)
@@ -58,7 +59,8 @@ profile.draw(axes)
 axes.set_ylim(0.003)
 axes.legend()
 print(profile)
-print("notches:", ", ".join(f"{name} from {low:.4g} to {high:.4g} Hz" for name, low, high in profile.notches()))
+notches = [f"{name} from {low:.4g} to {high:.4g} Hz" for name, low, high in profile.notches()]
+print("notches:", ", ".join(notches))
 
 # %%
 # A shock of the table, and the shock response spectra of the table and of the unit.

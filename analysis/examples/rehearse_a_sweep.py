@@ -43,7 +43,7 @@ for tolerance, response in frfs.items():
     print(f"transient up to {tolerance}: test of {durations[tolerance]:.0f} s, largest error {100 * error.max():.2g} %")
 axes.set(xlabel="frequency / Hz", ylabel="error of the compliance of body 3 / %")
 axes.set_title("no damper, 2.6 N; legend: tolerance of the transient")
-axes.figure.legend(loc="outside upper left", ncols=3)
+axes.figure.legend(loc="outside lower left", ncols=3)
 
 # %%
 # The modes of the last recording, with their uncertainties.

@@ -189,7 +189,7 @@ def decay(rec: Recording, channel: str | None = None, impact: int = 1, modes: in
     Returns
     -------
     Decay
-        Frequency and damping of each mode, envelope and energy of the decay.
+        Frequency [Hz] and damping ratio of each mode, envelope of the acceleration [m/s²] and energy of the decay.
     """
     names = response_channels(rec)
     if not names:

@@ -60,7 +60,7 @@ def identify(frfs: Response | Sequence[Response], count: int | None = None) -> M
     Returns
     -------
     Modes
-        Natural frequencies, damping ratios and shapes, with standard uncertainties.
+        Natural frequencies [Hz], damping ratios and shapes, with standard uncertainties.
 
     Raises
     ------

@@ -59,7 +59,7 @@ def frequency_responses(
     Returns
     -------
     list of Response
-        A matrix of all outputs over all inputs for each sweep (level and direction); one input is one column.
+        A matrix of all outputs over all inputs [m/N] for each sweep (level and direction); one input is one column.
 
     Raises
     ------
@@ -142,7 +142,7 @@ def frfs(
     Returns
     -------
     Response
-        All outputs over the force or the table motion.
+        All outputs over the force [m/N], or over the motion of the table [1].
 
     Raises
     ------
@@ -191,6 +191,6 @@ def compliance(
     Returns
     -------
     Response
-        The curve.
+        Compliance [m/N], or motion per motion of the table [1], at each frequency [Hz].
     """
     return frfs(rec, [response], reference, level=level, direction=direction)[0]

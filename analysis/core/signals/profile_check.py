@@ -251,7 +251,7 @@ def profile(rec: Recording) -> ProfileCheck:
     Returns
     -------
     ProfileCheck
-        Densities or amplitudes of the channels, with profile and limits.
+        Densities [(m/s²)²/Hz] or amplitudes [m/s²] of the channels, with profile and limits.
 
     Raises
     ------

@@ -158,7 +158,7 @@ def srs(
     Returns
     -------
     ShockSpectrum
-        Positive, negative and maximax response at each natural frequency.
+        Positive, negative and maximax response [m/s²] at each natural frequency [Hz].
 
     Examples
     --------

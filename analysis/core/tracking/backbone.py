@@ -194,7 +194,7 @@ def backbone(rec: Recording) -> Backbone:
     Returns
     -------
     Backbone
-        Frequencies, amplitudes and damping ratios of all levels.
+        Frequencies [Hz], amplitudes [m] and damping ratios (1: critical damping) of all levels.
 
     Raises
     ------

@@ -220,7 +220,7 @@ def continuation(rec: Recording) -> AmplitudeCurve:
     Returns
     -------
     AmplitudeCurve
-        Points and folds of all levels.
+        Frequencies [Hz] and amplitudes [m] of the points and folds of all levels.
 
     Raises
     ------

@@ -194,7 +194,7 @@ def force_surface(rec: Recording) -> ForceSurface:
     Returns
     -------
     ForceSurface
-        Points that did not reach steady state are omitted.
+        Force [N] at each frequency [Hz] and amplitude [m]. Points that did not reach steady state are omitted.
 
     Raises
     ------

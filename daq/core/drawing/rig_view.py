@@ -243,10 +243,12 @@ class RigView:
     def _force_arrow(
         self, body: int, name: str, x: float, text: str, color: Color
     ) -> Iterator[tuple[str, rr.AsComponents]]:
-        """Draw an upward arrow with a text at the front of the underside of a body."""
+        """Draw an upward arrow at the front of the underside of a body, with a text at the left."""
         foot, entity = (x, -DEPTH / 2 - 0.02, -0.055), f"rig/body_{body}/{name}"
         yield entity, arrow(foot, 0.055, color)
-        yield f"{entity}/name", label(foot, f"{text} on {self.scene.structure.label(body)}", LABEL)
+        text = f"{text} on {self.scene.structure.label(body)}"
+        left = -_label_position(text, 0.0)[0]
+        yield f"{entity}/name", label((left, foot[1], foot[2]), text, LABEL)
 
     def _scale_marks(self) -> Iterator[tuple[str, rr.AsComponents]]:
         """Draw the rest positions of the bodies and, at the left, a scale bar with its length and the exaggeration."""

@@ -66,7 +66,7 @@ def layout(
     right_column.append(curve_views[0] if len(curve_views) == 1 else rrb.Tabs(*curve_views, active_tab=0))
     if damper_count:
         right_column.append(
-            _curve_view("dampers/gap_mm", "damper gap [mm] around the cursor (truth)", cursor_range, True)
+            _curve_view("dampers/gap_mm", "damper gap / mm around the cursor (truth)", cursor_range, True)
         )
         contacts = rrb.TimeSeriesView(
             origin="dampers/contact",
@@ -92,8 +92,9 @@ def layout(
         line_grid=False,
         eye_controls=rrb.EyeControls3D(position=position, look_target=target, eye_up=(0, 0, 1)),
     )
-    # The lanes of a state timeline have a fixed height, so the height of their view must grow with their number.
-    left_column = rrb.Vertical(rig, phase_view, notes, row_shares=[1.5, 0.27 + 0.13 * overloaded_count, 1.0])
+    # The lanes of a state timeline have a fixed height, so the height of their view must grow with their number. The
+    # rig ends at the same height as the second plot.
+    left_column = rrb.Vertical(rig, phase_view, notes, row_shares=[1.5, 0.27 + 0.13 * overloaded_count, 0.94])
     return rrb.Blueprint(
         rrb.Horizontal(left_column, rrb.Vertical(*right_column, row_shares=row_heights), column_shares=[1.0, 1.35]),
         panel,

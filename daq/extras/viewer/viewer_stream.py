@@ -30,7 +30,7 @@ def plots(channels: Mapping[str, ChannelInfo]) -> list[tuple[str, str]]:
     """Return entity and title of the plot of each quantity that the channels measure."""
     present = {info.quantity for info in channels.values()}
     return [
-        (f"channels/{quantity}", f"{quantity} [{unit}]")
+        (f"channels/{quantity}", f"{quantity} / ({unit})" if "/" in unit else f"{quantity} / {unit}")
         for quantity, (_, unit) in DISPLAY_UNITS.items()
         if quantity in present
     ]

@@ -20,7 +20,7 @@ const bar = {
     const client = state.is_driven_by_clients && response.curves?.level === null ? clientLevel(response.curves) : null;
     setText("tone", `${digits(client?.kind === "rms" ? null : state.tone)} Hz`);
     setText("measured", `${digits(client ? client.level : state.running ? state.force : null, 3)} N`);
-    setText("force", state.running ? levelText(state) : client ? `${client.kind}` : "measured force");
+    setText("force", state.running ? levelText(state) : client ? `force ${client.kind}` : "measured force");
     setText("lag", state.lag < 0.04 ? "" : `${Math.round(1000 * state.lag)} ms late`);
     $("lag").classList.toggle("bad", state.lag >= 0.25);
     this.showRecording(state);

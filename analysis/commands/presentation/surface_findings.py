@@ -12,7 +12,7 @@ from analysis.core.tracking.force_surface import ForceSurface, force_surface
 from rig.core.base.figure_style import add_legend_below
 from rig.core.base.figure_types import Axes, Figure
 from rig.core.base.palette import level_styles
-from rig.core.results import format_number
+from rig.core.results import format_interval, format_number
 from rig.core.results.table import Table
 
 
@@ -41,7 +41,7 @@ def present_surface(
 
     title = "Response at constant force" if forces else "Force at constant amplitude"
     return present_each(
-        recordings, paths, output, "surface", title, force_surface, draw, lambda result: fold_lines(result, forces)
+        recordings, paths, output, "surface", title, force_surface, draw, lambda result: response_lines(result, forces)
     )
 
 
@@ -60,12 +60,21 @@ def draw_responses(result: ForceSurface, forces: Sequence[float], axes: Axes) ->
     axes.set(xlabel="frequency / Hz", ylabel=f"amplitude of {result.body} / mm")
 
 
-def fold_lines(result: ForceSurface, forces: Sequence[float]) -> list[str]:
-    """Return a table of the folds of the responses at constant force."""
-    rows = [
-        (f"{format_number(force)} N", f"{frequency:.5g}", f"{1e3 * amplitude:.3g}")
-        for force in forces
-        for frequency, amplitude in result.folds(force)
-    ]
-    heading = ("force", "fold / Hz", f"amplitude of {result.body} / mm")
-    return Table(heading, ">>>", rows).lines("  ")
+def response_lines(result: ForceSurface, forces: Sequence[float]) -> list[str]:
+    """Return a table of the highest points and the folds of the responses at constant force."""
+    rows = []
+    for force in forces:
+        frequency, amplitude, bound, _ = result.at_force(force).values()
+        if not amplitude.size:
+            rows.append((f"{format_number(force)} N", "force not measured", "", "", ""))
+            continue
+        k, folds = int(amplitude.argmax()), result.folds(force)
+        rows.append(
+            (
+                f"{format_number(force)} N", format_interval(1e3 * amplitude[k], 1e3 * bound[k]), f"{frequency[k]:.5g}",
+                ", ".join(f"{fold:.5g}" for fold, _ in folds) or "none",
+                ", ".join(f"{1e3 * height:.3g}" for _, height in folds),
+            )
+        )  # fmt: skip
+    heading = ("force", f"highest point of {result.body} / mm", "at / Hz", "folds / Hz", "amplitudes of folds / mm")
+    return Table(heading, ">>>>>", rows).lines("  ") if rows else []

@@ -21,7 +21,7 @@ from daq.core.recording.recorded_test import shocks_of
 from rig.core.base.arrays import Array
 from rig.core.base.errors import RecordingError, SceneError
 from rig.core.numerics.memory import require_memory_with_program
-from rig.core.results import Result, complete_style, format_percent
+from rig.core.results import Result, complete_style, format_number, format_percent
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -91,7 +91,7 @@ class ShockSpectrum(Result):
         """Return the channel, its largest value, and the frequency of this value."""
         index = int(np.argmax(self.maximax))
         return (
-            f"{self.label}, {self.channel}: at most {self.maximax[index]:.3g} {self.unit} at "
+            f"{self.label}, {self.channel}: highest {format_number(self.maximax[index])} {self.unit} at "
             f"{self.frequency[index]:.4g} Hz, Q = {self.q:g}"
         )
 

@@ -132,8 +132,8 @@ def _checked(curves: Sequence[Response]) -> Response:
 
 
 def is_frf_file(path: Path) -> bool:
-    """Return whether a file may contain frequency responses instead of a recording."""
-    return path.suffix.lower() != ".mcap"
+    """Return whether a file may contain frequency responses; not a recording, or a scene, which has none yet."""
+    return path.suffix.lower() not in (".mcap", ".yaml", ".yml")
 
 
 def _from_uff(path: Path, reference: str | None, unit: str | None) -> list[Response]:

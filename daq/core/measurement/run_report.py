@@ -93,7 +93,8 @@ def summary(path: Path) -> str:
             if any(transient):
                 frequencies = f", not at {format_frequencies([fields['frequency'] for fields in tones], transient)}"
             steady = sum(bool(mark.fields["settled"]) for mark in measured)
-            lines.append(f"steady state reached: {steady} of {len(measured)} measurements{frequencies}")
+            if tones or steady < len(measured):
+                lines.append(f"steady state reached: {steady} of {len(measured)} measurements{frequencies}")
         deviations = [mark for mark in rec.markers if mark.kind == "level"]
         if deviations:
             seconds = sum(mark.stop - mark.first_sample for mark in deviations) / rec.rate

@@ -237,6 +237,7 @@ class _Assessment:
             flights=flight_lines(self.scene, self.system, self.level, self.unlimited_test.parts),
             seconds=duration.expected,
             seconds_range=(duration.shortest, duration.longest),
+            settled_sensors=self.rehearsed_test.parts[0].settled_sensors_s,
             disk=recording_size(self.scene, self.bench, last_blocks, duration.expected),
             rehearsed=self.rehearsed_test.rehearsed,
             outside=outside_band(self.scene),

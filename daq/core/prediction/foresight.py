@@ -99,6 +99,7 @@ class Foresight(Result):
     flights: tuple[str, ...] = ()  # lines about dampers in flight
     seconds: float = 0.0  # duration of the test [s]
     seconds_range: tuple[float, float] = (0.0, 0.0)  # shortest and longest probable duration [s]
+    settled_sensors: float = 0.0  # time until the bias of the sensors has settled [s]; it is part of `seconds`
     disk: float = 0.0  # size of its recording [bytes]
     rehearsed: str = ""  # description of the part that was simulated (rehearsed); "" for the whole test
     outside: tuple[str, ...] = ()  # line about modes outside the band of the test
@@ -177,6 +178,8 @@ class Foresight(Result):
         if longest > _MIN_RANGE_RATIO * shortest > 0.0:
             about = f"{duration_text(shortest)} to {duration_text(longest)}, {about}"
             reason = " (waits with dampers in flight are uncertain)" if self.nonlinear else ""
+        if self.settled_sensors >= 1.0:
+            reason += f", of which {duration_text(self.settled_sensors)} until the bias of the sensors has settled"
         lines.append(
             f"the test takes {about}{duration_text(self.seconds)} on the bench{reason}; its recording has about "
             f"{self.disk / 1e6:.3g} MB"

@@ -117,6 +117,8 @@ class Rehearsal(BenchLoop):
         self.steps: list[Step] = []
         # Last measured interval without a constant tone: its first sample, and the sample after its last.
         self.measured: tuple[int, int] | None = None
+        # Time at which the bias of the sensors has settled [s].
+        self.settled_sensors_s = 0.0
         # Simulated duration [s], whether the test ran to its end, and the completed fraction that it reported.
         self.seconds, self.complete, self.fraction = 0.0, False, 0.0
         # Reason why the test was aborted; None if it ran to its end.
@@ -203,8 +205,10 @@ class Rehearsal(BenchLoop):
             self.overloaded[row] = True
 
     def mark(self, kind: str, first: int, stop: int, **fields: Any) -> None:
-        """Store the tones and the sweep of the test."""
-        if kind in ("settle", "measure") and "frequency" in fields:
+        """Store the tones and the sweep of the test, and the time at which the sensors have settled."""
+        if kind == "settle" and fields.keys() == {"settled"}:
+            self.settled_sensors_s = stop / self.rate
+        elif kind in ("settle", "measure") and "frequency" in fields:
             settled = bool(fields.get("settled", True))
             is_measurement, is_evaluated = kind == "measure", not self._excluded_dwells
             self.steps.append(Step(first, stop, float(fields["frequency"]), settled, is_measurement, is_evaluated))

@@ -117,16 +117,20 @@ class OrbitCurve(Result):
     Attributes
     ----------
     failures : tuple of str
-        Where a branch could not be followed, or its border not crossed: value of the parameter, events, and reason.
+        Where a branch may be missing, because no periodic orbit was found or an end was not passed: value of the
+        parameter, and reason. The computed branches are not affected.
     """
 
     branches: tuple[OrbitBranch, ...]
     failures: tuple[str, ...]
 
     def summary(self) -> str:
-        """Return the number of branches and their types of motion in words."""
+        """Return the number of branches, their types of motion, and where a branch may be missing, in words."""
         types = ", ".join(dict.fromkeys(branch.motion_type for branch in self.branches))
-        return f"{len(self.branches)} branches: {types}; {len(self.failures)} not followed to their ends"
+        text = f"{len(self.branches)} branches: {types}"
+        if self.failures:
+            text += f"; a branch may be missing: {self.failures[0].removesuffix('.')}"
+        return text + f" ({len(self.failures) - 1} more in `failures`)" * (len(self.failures) > 1)
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """Join the columns of all branches, with the number of each."""

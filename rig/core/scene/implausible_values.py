@@ -21,8 +21,9 @@ from rig.core.settings.quantities import (
 
 # Largest plausible mass ratio (damper to body) of a bed whose mass is given without a unit.
 _MAX_MASS_RATIO = 2.0
-# Largest plausible mass ratio of a bed whose mass is given with a unit.
-_MAX_MASS_RATIO_WITH_UNIT = 50.0
+# Largest plausible mass ratio of a bed whose mass is given with a unit: it fills a cavity of its body. The second value
+# is that of a mass on a spring, and of a damper at one of the points of a structure given by matrices.
+_MAX_MASS_RATIO_WITH_UNIT, _MAX_MASS_RATIO_ON_SPRING = 1.0, 50.0
 # Below this mass ratio, the unit mg is probably a mistake.
 _MIN_MASS_RATIO = 1e-4
 # Lowest resonance [Hz] of a body on its spring in real rigs; a lower one indicates a wrong unit.
@@ -94,7 +95,9 @@ def _dampers(scene: Scene, content: Mapping[str, Any]) -> Iterator[Problem]:
             continue
         ratio, unit = damper.mass / body_mass, _unit(written)
         is_light = ratio < _MIN_MASS_RATIO and unit in ("mg", "ug")
-        if is_light or ratio > (_MAX_MASS_RATIO_WITH_UNIT if unit else _MAX_MASS_RATIO):
+        is_in_body = damper.spring is None and scene.structure.masses is not None
+        largest_with_unit = _MAX_MASS_RATIO_WITH_UNIT if is_in_body else _MAX_MASS_RATIO_ON_SPRING
+        if is_light or ratio > (largest_with_unit if unit else _MAX_MASS_RATIO):
             ratio_text = f"{ratio:.3g} times the mass of its body ({body_mass:.3g} kg)"
             yield _warning(key_path, written, "g", f"read as {damper.mass:g} kg, {ratio_text}")
 

@@ -11,7 +11,7 @@ import analysis
 import daq
 import rig
 from analysis.commands.cli import app
-from analysis.commands.presentation.surface_findings import fold_lines
+from analysis.commands.presentation.surface_findings import response_lines
 from analysis.core.tracking.force_surface import ForceSurface, largest_slopes
 from rig.core.base.errors import RecordingError
 from rig.core.base.figure_style import new_figure
@@ -85,9 +85,12 @@ def test_other_test_has_no_surface(tmp_path: Path) -> None:
         analysis.force_surface(daq.record(scene, tmp_path / "sine.mcap"))
 
 
-def test_table_contains_folds() -> None:
-    lines = fold_lines(surface(np.linspace(1.0, 1.5, 21)), [0.2])
-    assert len(lines) == 2 and "0.2 N" in lines[1] and "1.28" in lines[1]
+def test_table_contains_highest_point_and_folds() -> None:
+    result = surface(np.linspace(1.0, 1.5, 21))
+    lines = response_lines(result, [0.2, 1e6])
+    assert len(lines) == 3 and "0.2 N" in lines[1] and "1.28" in lines[1] and "not measured" in lines[2]
+    assert lines[1].split()[2:4] == ["1180", "±"]
+    assert result.at_force(0.2)["amplitude_m"].max() == pytest.approx(1.18, abs=0.01)
 
 
 def test_levels_near_each_other_are_one_curve() -> None:

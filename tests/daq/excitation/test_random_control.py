@@ -176,9 +176,10 @@ def test_wrong_setting_is_named(changes: dict[str, Any], message: str) -> None:
     assert message in str(error.value)
 
 
-def test_coarse_lines_and_early_limit_are_named() -> None:
-    # The half-power width of the mode at 13.44 Hz is 0.8 Hz, the distance of the lines 1 Hz.
-    coarse = scene(lines=55, limits=[LIMIT | {"frequencies": ["8 Hz", "14 Hz"]}])
+@pytest.mark.parametrize("count", [11, 55])
+def test_coarse_lines_and_early_limit_are_named(count: int) -> None:
+    # The half-power width of the mode at 13.44 Hz is 0.8 Hz, the distance of the lines 5 or 1 Hz.
+    coarse = scene(lines=count, limits=[LIMIT | {"frequencies": ["8 Hz", "14 Hz"]}])
     channels = Bench(coarse).channels
     lines, limit, duration = PROCEDURE.check(coarse.test, coarse, channels)
     assert "from line to line" in lines and "the limit of unit ends at 14 Hz" in limit

@@ -176,8 +176,10 @@ def test_duration_contains_wait_for_sensors(tmp_path, monkeypatch) -> None:
     hits = {"kind": "impulse", "body": 1, "peak": "50 N", "width": "4 ms", "repeats": 5, "interval": "2 s"}
     sensor = {"sensitivity": "100 mV/g", "bias": "9 V", "bias_settling": "1 s", "noise": "1 mg/sqrt(Hz)"}
     scene = one_body(hits, channels=accelerometer(accelerometer=sensor))
+    foresight = daq.foresee(scene)
+    assert re.search(r", of which [\d.]+ s until the bias of the sensors has settled; its recording", str(foresight))
     with daq.open(daq.record(scene, tmp_path / "hits.mcap")) as recording:
-        assert daq.foresee(scene).seconds == pytest.approx(recording.samples / recording.rate, rel=0.02)
+        assert foresight.seconds == pytest.approx(recording.samples / recording.rate, rel=0.02)
 
 
 @pytest.mark.parametrize("shaker", [{"kind": "force", "body": 1}, {"kind": "table", "body": 1, "spring": "3 kN/m"}])

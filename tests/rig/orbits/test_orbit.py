@@ -183,6 +183,7 @@ def test_undetermined_event_is_a_failure_of_its_branch(monkeypatch: pytest.Monke
     curve = follow_orbits(rig.load("fig9"), "frequency", (49.0, 49.1), searches=1)
     assert not curve.branches
     assert "an event touches its threshold without crossing it" in " ".join(curve.failures)
+    assert "at frequency 49.05" in repr(curve)
 
 
 def test_multiplier_is_minus_one_at_a_period_doubling() -> None:

@@ -43,6 +43,8 @@ _N_FREQUENCIES = 2000
 # Largest change of the drive density from line to line [dB]: the largest slope at a resonance, 20 / ln(10) dB over half
 # of its half-power width, if the width contains two lines.
 _MAX_STEP_DB = 8.69 / 2.0
+# The search for a sufficient number of lines ends at this multiple of the lines of the test.
+_MAX_LINE_RATIO = 100
 # Number of frequencies per line, so the peak between two lines is resolved.
 _OVERSAMPLING = 8
 # Largest reduction of the drive density by a limit at its end [dB].
@@ -168,26 +170,48 @@ def line_warnings(test: ProfileControl, scene: Scene, channels: Iterable[Channel
     assert test.resolution is not None
     low, high = test.profile.frequencies[0], test.profile.frequencies[-1]
     count = round((high - low) / test.resolution)
-    frequency, places = np.linspace(low, high, _OVERSAMPLING * count + 1), {info.name: info.at for info in channels}
-    amplitudes = accelerations_per_drive(scene, [places[name] for _, name in test.named_channels], 2.0 * pi * frequency)
-    required = test.decibels(test.required(amplitudes**2, frequency))
-    # Where another channel begins to determine the drive, its density may jump.
-    determining, drive = required.argmin(axis=0), required.min(axis=0)
-    steps = _OVERSAMPLING * np.where(np.diff(determining) == 0, abs(np.diff(drive)), 0.0)
-    worst = int(np.argmax(steps))
-    if steps[worst] > _MAX_STEP_DB:
+    places = {info.name: info.at for info in channels}
+    positions = [places[name] for _, name in test.named_channels]
+
+    def required_at(lines: int) -> tuple[Array, Array]:
+        frequency = np.linspace(low, high, _OVERSAMPLING * lines + 1)
+        amplitudes = accelerations_per_drive(scene, positions, 2.0 * pi * frequency)
+        return frequency, test.decibels(test.required(amplitudes**2, frequency))
+
+    frequency, required = required_at(count)
+    worst, step = _largest_step(required)
+    if step > _MAX_STEP_DB:
+        # More lines resolve a higher slope, so they are counted again.
+        needed, remaining = count, step
+        while remaining > _MAX_STEP_DB and needed < _MAX_LINE_RATIO * count:
+            needed = ceil(needed * remaining / _MAX_STEP_DB)
+            _, remaining = _largest_step(required_at(needed)[1])
         yield (
-            f"near {frequency[worst]:.4g} Hz the drive density changes by {steps[worst]:.1f} dB from line to line: the "
+            f"near {frequency[worst]:.4g} Hz the drive density changes by {step:.1f} dB from line to line: the "
             "lines do not resolve the response, and channels deviate between them. Give test.lines of "
-            f"{ceil(count * steps[worst] / _MAX_STEP_DB)} or more."
+            f"{needed} or more."
         )
     for limit, row in zip(test.limits, required[1:], strict=True):
         inside = np.flatnonzero(np.isfinite(row))
-        for end in (int(inside[0]), int(inside[-1])) if inside.size else ():
+        for end, stated in (
+            ((inside[0], limit.frequencies[0]), (inside[-1], limit.frequencies[-1])) if inside.size else ()
+        ):
             reduction = float(required[0, end] - row[end])
             if 0 < end < frequency.size - 1 and reduction > _MAX_END_DB:
                 yield (
-                    f"the limit of {limit.channel} ends at {frequency[end]:.4g} Hz, where it reduces the drive density "
+                    f"the limit of {limit.channel} ends at {stated:.4g} Hz, where it reduces the drive density "
                     f"by {reduction:.1f} dB: beyond this frequency, the channel exceeds the limit. Extend the "
                     "limit beyond the resonance."
                 )
+
+
+def _largest_step(required: Array) -> tuple[int, float]:
+    """Return the index of the largest change of the drive density from line to line, and this change [dB].
+
+    Where another channel begins to determine the drive, its density may jump; these changes do not count. `required`:
+    density that each channel requires [dB], (channels, frequencies).
+    """
+    determining, drive = required.argmin(axis=0), required.min(axis=0)
+    steps = _OVERSAMPLING * np.where(np.diff(determining) == 0, abs(np.diff(drive)), 0.0)
+    worst = int(np.argmax(steps))
+    return worst, float(steps[worst])

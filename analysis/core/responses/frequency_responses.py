@@ -7,6 +7,7 @@ from analysis.core.recordings.names import takes_path
 from analysis.core.responses.checks.channel_changes import change_warnings, without_mean_delay
 from analysis.core.responses.checks.failed_channels import failed_channel_warnings
 from analysis.core.responses.checks.tone_steps import sweep_warnings
+from analysis.core.responses.errors.systematic import ASSUMED_TOLERANCE, tolerance, tolerance_or_assumption
 from analysis.core.responses.estimator import Blocks, Request, estimator_of
 from analysis.core.responses.measurands import (
     default_reference,
@@ -22,6 +23,7 @@ from daq.core.recording.recording import Recording
 from rig.core.base.errors import RecordingError, SceneError
 from rig.core.base.progress import CountProgress
 from rig.core.numerics.blas_threads import with_one_blas_thread
+from rig.core.results import format_percent
 from rig.core.results.response import MOTIONS
 from rig.core.results.response import Response as Response
 from rig.core.settings.quantities import FORCE, number
@@ -109,6 +111,12 @@ def frequency_responses(
             f"{', '.join(unfiltered)}: imported, and the scene names no filter of the converter. "
             f"{EXCLUDED_ALIASING} from above half the sample rate. Name the filter in the scene (converter.preset or "
             "converter.filter), and import again."
+        )
+    if assumed := [name for name in used if tolerance_or_assumption(rec, name) > tolerance(rec.channels[name])]:
+        warnings.append(
+            f"{', '.join(assumed)}: imported, and the scene states no sensitivity_tolerance. The uncertainty assumes "
+            f"sensors calibrated within {format_percent(ASSUMED_TOLERANCE)}. State the tolerance in the scene, and "
+            "import again."
         )
     if own_estimator.jumps:
         texts_of_sweeps = sweep_warnings(rec, own_estimator.tones(request), used, computed)

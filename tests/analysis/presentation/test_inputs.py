@@ -22,6 +22,7 @@ from analysis.commands.presentation.mode_findings import present_modes
 from analysis.extras.formats.results import export_results
 from daq.extras.importing.channel_table import Column
 from rig.core.base.errors import RecordingError, SceneError
+from rig.core.results.uncertainty import SENSITIVITY
 from tests.analysis.responses import synthetic
 
 BRACKET = """\
@@ -130,8 +131,23 @@ def test_missing_filter_is_named_with_intervals(bracket: dict[str, Path], tmp_pa
     scene = rig.load(bracket["base"].with_name("bracket.yaml"))
     imported = daq.import_files(table, scene, tmp_path / "imported.mcap")
     recorded_text, imported_text = (present_frf([path], tmp_path).lines[-1] for path in (bracket["base"], imported))
-    assert "the sample clock" in recorded_text and "aliasing" not in recorded_text
+    assert "calibration and the sample clock" in recorded_text and "aliasing" not in recorded_text
     assert imported_text.endswith("the sample clock and aliasing: no tolerance or filter is stated")
+
+
+@pytest.mark.usefixtures("undrawn_figures")
+def test_imported_sensors_have_assumed_tolerance(bracket: dict[str, Path], tmp_path: Path) -> None:
+    table = tmp_path / "base.csv"
+    assert CliRunner().invoke(app, ["export", str(bracket["base"]), "-o", str(table)]).exit_code == 0
+    scene = rig.load(bracket["base"].with_name("bracket.yaml"))
+    imported = daq.import_files(table, scene, tmp_path / "imported.mcap")
+    output = present_frf([imported], tmp_path)
+    assert sum("assumes sensors calibrated within 1 %" in warning for warning in output.warnings) == 1
+    [frf] = analysis.frequency_responses(imported, ["arm"])[0]
+    line = frf.peak_line()
+    # The limits of two sensors: 2 * 1 % / sqrt(3) * sqrt(2).
+    assert 0.016 <= frf.expanded()[line] / abs(frf.value[line]) < 0.021
+    assert SENSITIVITY not in analysis.frequency_responses(bracket["base"], ["arm"])[0][0].limits
 
 
 @pytest.mark.parametrize("calibration", [{}, {"sensitivity_tolerance": "1 %"}])

@@ -42,6 +42,10 @@ _MAX_CHORD_RATIO = 10.0
 _MIN_POWER_COUNTS = 1.0 / 16.0
 
 
+#: Tolerance of sensors of imported recordings that state none: the uncertainty of a good calibration (ISO 16063-21).
+ASSUMED_TOLERANCE = 0.01
+
+
 @dataclass(frozen=True)
 class ChannelContributions:
     """Contributions of the channels to a response and to its reference."""
@@ -87,15 +91,22 @@ def _setting(info: ChannelInfo, name: str, kind: Kind, default: float = 0.0) -> 
     return next((abs(parse(text, kind)) for key, text in info.sensor.items() if key.endswith("." + name)), default)
 
 
+def tolerance_or_assumption(rec: Recording, name: str) -> float:
+    """Return the `tolerance` of a channel, or an assumed value for a sensor of another instrument that states none."""
+    info = rec.channels[name]
+    is_unstated = bool(rec.source) and info.quantity != "voltage"
+    return tolerance(info) or (ASSUMED_TOLERANCE if is_unstated else 0.0)
+
+
 def sensitivity_limit(rec: Recording, contributions: ChannelContributions) -> dict[str, Array]:
     """Compute the maximum error of a response due to the tolerances of its channels; empty without tolerances."""
-    gain = np.array([[tolerance(rec.channels[name])] for name in contributions.names])
+    gain = np.array([[tolerance_or_assumption(rec, name)] for name in contributions.names])
     return {SENSITIVITY: gain_error_limit(gain, relative_to_reading(gain), contributions)} if gain.any() else {}
 
 
 def sensor_sources(rec: Recording, contributions: ChannelContributions) -> dict[str, Sources]:
     """Return the change of a response by each sensor at its tolerance, to first order; empty without tolerances."""
-    limits = {name: tolerance(rec.channels[name]) for name in contributions.names}
+    limits = {name: tolerance_or_assumption(rec, name) for name in contributions.names}
     sources = {
         _identity(rec, rec.channels[name].to_metadata()): limit * change
         for (name, limit), change in zip(limits.items(), contributions.gain_sensitivity, strict=True)
@@ -112,7 +123,7 @@ def _identity(rec: Recording, device: object) -> str:
 def common_scale(rec: Recording, outputs: Sequence[str], references: Sequence[str]) -> float:
     """Return the maximum relative error of a single reference channel, common to all responses; 0 for several."""
     is_common = len(references) == 1 and references[0] not in outputs
-    return tolerance(rec.channels[references[0]]) if is_common else 0.0
+    return tolerance_or_assumption(rec, references[0]) if is_common else 0.0
 
 
 def relative_to_reading(error: Array) -> Array:

@@ -18,6 +18,7 @@ modules:
   {Dev1: PCIe-6363, Dev2: PCIe-6363, PXI1Slot3: PCIe-6363, PXI1Slot7: PCIe-6363, cDAQ1Mod1: NI 9215, cDAQ1Mod2: NI 9263}
 wires: [Dev1/ao0 -> Dev1/ai0]
 sources: {Dev1/ai1: {amplitude: 1 V, frequency: 20 Hz}}
+pulses: {PFI0: 1 Hz, PFI8: 1 Hz}
 """
 TESTS = f"""
 import _thread, builtins, os, runpy, sys, threading, time

@@ -54,6 +54,9 @@ class Runner(Protocol):
     def device(self) -> str:
         """Name of the first device in use."""
 
+    def provides(self, source: OtherTask) -> bool:
+        """Return whether a trigger terminal is on its device."""
+
     @property
     def sample_rate(self) -> float | None:
         """Sample rate of its inputs, S/s; None on demand, or without inputs."""
@@ -326,15 +329,15 @@ class Chassis:
             )
 
     def event_tick(self, source: OtherTask) -> int | None:
-        """Return the tick of a trigger of another task, if possible on the device of `source`; None before it."""
-        runs: dict[Any, Any] = self.inputs if source.direction == "ai" else self.outputs
-        device = source.device.lower()
-        on_device = [run for task, run in runs.items() if device and task.device.lower().startswith(device)]
-        for run in on_device or runs.values():
-            tick = run.start_tick(source.reference, self.position)
-            if tick is not None:
-                return tick
-        return None
+        """Return the tick of a trigger of another task; None before it."""
+        runs: dict[Runner, Any] = {**self.inputs} if source.direction == "ai" else {**self.outputs}
+        ticks = (run.start_tick(source.reference, self.position) for task, run in runs.items() if task.provides(source))
+        return next((tick for tick in ticks if tick is not None), None)
+
+    def terminal_owner(self, module: Module) -> str:
+        """Return the chassis of a module, or the separate device, in lower case; empty for a name of other hardware."""
+        owner = (module.chassis or module.name).lower()
+        return owner if owner in [name.lower() for name in self.devices.names] else ""
 
     def _ticks_to_awaited_trigger(self) -> int:
         """Return the number of ticks until the next sample of an input whose trigger starts an output."""

@@ -42,6 +42,11 @@ class Events:
         """Whether the task has a listener to its samples, its end or its signals."""
         return bool(self._every_n_samples or self._done or self._signals)
 
+    @property
+    def interval(self) -> int:
+        """Number of samples between two events of every N samples; 0 without a listener."""
+        return 0 if self._every_n_samples is None else self._every_n_samples[1]
+
     def listen_every(
         self, event_type: int, n_samples: int, listener: Listener | None, has_outputs: bool = False
     ) -> None:
@@ -116,10 +121,7 @@ class Events:
 
     def next_due(self, n_samples: int) -> int | None:
         """Return the total number of samples at which the next event is due; None without a listener."""
-        if self._every_n_samples is None:
-            return None
-        interval = self._every_n_samples[1]
-        return (n_samples // interval + 1) * interval
+        return (n_samples // self.interval + 1) * self.interval if self.interval else None
 
     def notify(self, n_samples: int, run: Any) -> bool:
         """Send all due events after `n_samples` per channel; return whether a callback of every N samples may read."""

@@ -18,8 +18,8 @@ from daq.extras.ni_device.engines.triggers import (
     AtTime,
     Condition,
     OtherTask,
+    Pulses,
     Source,
-    digital_source,
     edge,
     window,
 )
@@ -29,6 +29,11 @@ from daq.extras.ni_device.values import Overwrite, Slope, TriggerType, WindowCon
 
 # Names of the bench's own sample clock as a source, among them the empty string.
 _OWN_CLOCK = re.compile(r"|OnboardClock|.*/OnboardClock|/?([^/]+/)?(a[io]/)?SampleClock(Timebase)?", re.IGNORECASE)
+
+# Sample clock of the inputs of a device.
+_INPUT_CLOCK = re.compile(r"/?(?:([^/]+)/)?ai/SampleClock", re.IGNORECASE)
+# Terminals with a digital signal: device and signal.
+_SIGNAL = re.compile(r"/?(?:([^/]+)/)?(PFI\d+|a[io]/StartTrigger|ai/ReferenceTrigger)", re.IGNORECASE)
 
 
 def check_timing(task: TaskSettings) -> None:
@@ -74,10 +79,10 @@ def check_timing(task: TaskSettings) -> None:
             )
         if task.direction == "ai" and task.rate > task.max_rate * (1 + 1e-6):
             modules = [channel.module for channel in task.channels]
-            slowest = min(modules, key=lambda module: module.max_rate(modules.count(module)))
+            slowest = min(modules, key=lambda module: module.max_rate(modules.count(module), output=False))
             raise DaqError(
                 f"the converter of {slowest.name} converts one channel after the other, at {task.max_rate:g} S/s at "
-                f"most with {modules.count(slowest)} channels; {task.rate:g} S/s were requested. "
+                f"most with {modules.count(slowest)} channels; {timing['samp_clk_rate']:g} S/s were requested. "
                 "Reduce the sample rate or the number of channels.",
                 Code.SAMPLE_RATE_NUM_CHANS_CONVERT_PERIOD_COMBO,
             )
@@ -154,7 +159,7 @@ def _trigger_source(task: TaskSettings, role: str, chassis: Chassis) -> Source |
         return AtTime(chassis.elapsed + max(0.0, start_delay_s))
     if trigger_type == TriggerType.DIGITAL_EDGE:
         prefix = "dig_edge"
-        return digital_source(setting("src"), Slope(setting("edge")))
+        return _digital_source(setting("src"), Slope(setting("edge")), task, chassis)
     if trigger_type == TriggerType.ANALOG_EDGE:
         prefix = "anlg_edge"
         return AnalogSource(
@@ -178,6 +183,21 @@ def _trigger_source(task: TaskSettings, role: str, chassis: Chassis) -> Source |
         ]
         return AnalogSource(tuple(map(condition_on_channel, names, conditions)))
     raise unsupported(f"a {role} trigger of type {trigger_type}")
+
+
+def _digital_source(source: str, slope: Slope, task: TaskSettings, chassis: Chassis) -> Pulses | OtherTask:
+    """Return the trigger at a terminal such as /cDAQ1/PFI0. Raises `DaqError` -89136 for an unknown terminal."""
+    match = _SIGNAL.fullmatch(source.strip())
+    if not match:
+        raise DaqError(
+            f"terminal {source!r} has no trigger signal. Give /Dev1/PFI0, /Dev1/ai/StartTrigger, /Dev1/ao/StartTrigger "
+            "or /Dev1/ai/ReferenceTrigger.",
+            Code.ROUTE_NOT_SUPPORTED_BY_HW_ROUTING,
+        )
+    owner, signal = chassis.terminal_owner(chassis.devices.module(match[1] or task.device)), match[2].lower()
+    if signal.startswith("pfi"):
+        return Pulses(slope, chassis.terminals.pulse_frequency(owner, signal), source)
+    return OtherTask(owner, signal[:2], signal.endswith("referencetrigger"))
 
 
 def input_plan(
@@ -209,16 +229,23 @@ def input_plan(
 def output_plan(task: TaskSettings, chassis: Chassis, start: Source | None) -> tuple[OutputPlan, OtherTask | None]:
     """Return the plan of a generation, and the start of the task whose sample clock it uses, if any.
 
-    An output on the sample clock of the inputs starts with the inputs, and has their coerced rate.
+    An output on the sample clock of the inputs of a device starts with these inputs, and has their coerced rate.
     """
     if isinstance(start, AnalogSource):
         raise unsupported("an analog start trigger of an output", "Start the output by ai/StartTrigger.")
     clock_task, rate = None, task.rate
-    if task.groups["timing"]["samp_clk_src"].lower().endswith("ai/sampleclock"):
-        input_rates = [other.sample_rate for other in chassis.tasks.values() if other.sample_rate is not None]
+    clock_source = _INPUT_CLOCK.fullmatch(task.groups["timing"]["samp_clk_src"])
+    if clock_source:
+        device = chassis.devices.module(clock_source[1] or task.device)
+        clock = OtherTask(chassis.terminal_owner(device), "ai", reference=False)
+        input_rates = [
+            other.sample_rate
+            for other in chassis.tasks.values()
+            if other.sample_rate is not None and other.provides(clock)
+        ]
         rate = min(input_rates, key=lambda input_rate: abs(input_rate - rate), default=rate)
         if start is None:
-            start = clock_task = OtherTask("", "ai", reference=False)
+            start = clock_task = clock
     plan = OutputPlan(
         bench_indices=tuple(channel.bench_index for channel in task.channels),
         tick_rate=chassis.rate,

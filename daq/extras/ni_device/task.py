@@ -15,12 +15,13 @@ from daq.extras.ni_device.clock import normalize_timeout
 from daq.extras.ni_device.engines.acquisition import Acquisition
 from daq.extras.ni_device.engines.generation import Generation
 from daq.extras.ni_device.engines.ring_buffer import allocate
+from daq.extras.ni_device.engines.triggers import OtherTask
 from daq.extras.ni_device.errors import STOPPED_BEFORE_DONE, Code, DaqError, invalid_value
 from daq.extras.ni_device.events import Events
 from daq.extras.ni_device.plans import check_timing, trigger_sources
 from daq.extras.ni_device.settings.scales import Scale
 from daq.extras.ni_device.settings.task_settings import TaskSettings
-from daq.extras.ni_device.task_input import ReadResult, TaskInput
+from daq.extras.ni_device.task_input import ReadResult, TaskInput, missing_trigger
 from daq.extras.ni_device.task_output import TaskOutput, check_volts
 from daq.extras.ni_device.values import TaskMode
 from rig.core.base.arrays import Array
@@ -98,10 +99,25 @@ class Task:
 
     def _run(self) -> None:
         self.verify()
+        self._check_event_interval()
         self.input.run = self.output.run = None
         self.events.begin()
         if self.settings.has_sample_clock:
             self._active_part.start(*trigger_sources(self.settings, self.chassis))
+
+    def _check_event_interval(self) -> None:
+        """Raise `DaqError` -200877 if an event every N samples does not divide the buffer of a device with DMA."""
+        interval, stream = (
+            self.events.interval,
+            "in_stream.input" if self.settings.direction == "ai" else "out_stream.output",
+        )
+        size = self.settings.input_buffer_size if self.settings.direction == "ai" else self.output.size
+        if interval and size % interval and self.settings.channels[0].module.uses_dma:
+            raise DaqError(
+                f"the buffer of {size} samples is not a multiple of the {interval} samples between two events, which "
+                f"DMA requires. Change {stream}_buf_size, samps_per_chan or the interval.",
+                Code.BUFFER_SIZE_NOT_MULTIPLE_OF_EVERY_N_SAMPS_EVENT_INTERVAL_WHEN_DMA,
+            )
 
     def stop(self) -> int:
         """Stop the task; return warning 200010 if it is incomplete, otherwise 0; raise an error that ended the run."""
@@ -233,7 +249,8 @@ class Task:
             if not self.settings.is_finite:
                 remedy = "A continuous task does not end by itself. Stop it."
             raise DaqError(
-                f"the task is not done after {timeout:g} s. {remedy}", Code.WAIT_UNTIL_DONE_DOES_NOT_INDICATE_DONE
+                f"the task is not done after {timeout:g} s{missing_trigger(self.run)}. {remedy}",
+                Code.WAIT_UNTIL_DONE_DOES_NOT_INDICATE_DONE,
             )
 
     # Interface for the chassis (`Runner`)
@@ -242,6 +259,11 @@ class Task:
     def device(self) -> str:
         """Name of the first device in use."""
         return self.settings.device
+
+    def provides(self, source: OtherTask) -> bool:
+        """Return whether a trigger terminal is on the device of the task."""
+        owner = self.chassis.terminal_owner(self.settings.channels[0].module)
+        return not (owner and source.owner) or owner == source.owner
 
     def max_ticks(self) -> int:
         """Return the number of ticks that may pass before `notify_samples` must be called."""

@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 
 from daq.extras.ni_device.chassis import UNLIMITED_TICKS, Chassis, Runner
 from daq.extras.ni_device.engines.acquisition import Acquisition
+from daq.extras.ni_device.engines.generation import Generation
 from daq.extras.ni_device.engines.log import TaskLog, open_log
-from daq.extras.ni_device.engines.triggers import Source
+from daq.extras.ni_device.engines.triggers import Pulses, Source
 from daq.extras.ni_device.errors import Code, DaqError, unsupported
 from daq.extras.ni_device.plans import input_plan
 from daq.extras.ni_device.settings.channels import Channel
@@ -271,7 +272,7 @@ class TaskInput:
                 return result(
                     DaqError(
                         f"only {n_read} of {n_requested} samples per channel were acquired within {timeout:g} s"
-                        f"{_missing_trigger(run)}. Increase the timeout, read fewer samples, or check the triggers.",
+                        f"{missing_trigger(run)}. Increase the timeout, read fewer samples, or check the triggers.",
                         Code.SAMPLES_NOT_YET_AVAILABLE,
                     )
                 )
@@ -291,10 +292,16 @@ def _to_counts(channel: Channel, samples: NDArray[Any]) -> NDArray[Any]:
     return np.clip(np.rint(samples / channel.range * full_scale), -full_scale, full_scale - 1)
 
 
-def _missing_trigger(run: Acquisition) -> str:
+def missing_trigger(run: Acquisition | Generation | None) -> str:
     """Return a note for an error message about the trigger that has not occurred; empty if all have occurred."""
-    if not run.has_started:
-        return " (the start trigger has not occurred)"
-    if run.plan.reference is not None and run.trigger_sample is None:
-        return " (the reference trigger has not occurred)"
-    return ""
+    role, trigger = "", None
+    if run is not None and not run.has_started:
+        role, trigger = "start", run.plan.start
+    elif isinstance(run, Acquisition) and run.trigger_sample is None:
+        role, trigger = "reference", run.plan.reference
+    if trigger is None:
+        return ""
+    reason = ""
+    if isinstance(trigger, Pulses) and not trigger.frequency:
+        reason = f": the bench has no pulses at {trigger.terminal}"
+    return f" (the {role} trigger has not occurred{reason})"

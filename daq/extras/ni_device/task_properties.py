@@ -70,9 +70,10 @@ def set_value(task: Task, group: str, name: str, value: Any) -> None:
         name, value = "samp_clk_rate", _timebase(task) / divisor
     settings = task.settings.groups[group]
     value = coerce(name, value, settings[name])
-    if name == "samp_clk_rate" and task.settings.channels:
-        # The call raises an error for an impossible rate.
-        _module(task).coerced_rate(value, output=task.settings.direction == "ao")
+    if name == "samp_clk_rate":
+        for channel in task.settings.channels:
+            # The call raises an error for an impossible rate.
+            channel.module.coerced_rate(value, output=channel.direction == "ao")
     if name == "channels_to_read":
         task.settings.find(value)  # The call raises an error for a missing channel.
     if name.endswith("_buf_size") and value < 0:

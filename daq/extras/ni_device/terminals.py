@@ -28,6 +28,8 @@ from rig.core.scene.presets import complete_from_preset, input_settings, needs_s
 from rig.core.scene.scene import Scene
 from rig.core.scene.shaker import DRIVE_PER_VOLT
 
+# Frequency of the sync output of the bench, which is connected to all PFI terminals [Hz].
+_SYNC_HZ = 1.0
 # Maximum number of ticks in a step of the bench: the overhead of a step is negligible, and responses are quick.
 _MAX_BLOCK_TICKS = 4096
 
@@ -164,6 +166,10 @@ class Terminals:
         if sheet is None:
             return None
         return with_sensitivity(sheet.bits, sheet.template, self.bench.channels[bench_index].sensitivity)
+
+    def pulse_frequency(self, owner: str, terminal: str) -> float:
+        """Return the frequency of the pulses at a terminal such as pfi0 of a chassis or device [Hz]; 0 without."""
+        return _SYNC_HZ
 
     def filter_properties(self, bench_index: int, rate: float | None) -> dict[str, Any]:
         """Return NI's filter properties of a channel at a rate in S/s: the delay in s, and whether it is removed."""

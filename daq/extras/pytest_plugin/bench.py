@@ -145,6 +145,7 @@ def open_bench(
     *,
     wires: Sequence[str] = (),
     sources: Mapping[str, Any] | None = None,
+    pulses: Mapping[str, Any] | None = None,
     clock: str | Clock = "fast",
 ) -> NidaqmxBench:
     """Open a bench for tests.
@@ -153,12 +154,14 @@ def open_bench(
     ----------
     bench : Scene, str, Path, mapping or sequence of str
         A scene (see `rig.load`); or product types of modules, as a list or separated by commas; or a description with
-        the keys `modules`, `chassis`, `wires` and `sources`, as a mapping or a YAML file.
+        the keys `modules`, `chassis`, `wires`, `sources`, `pulses` and `tasks`, as a mapping or a YAML file.
     wires : sequence of str, optional
         Connections of outputs to inputs, such as "ao0 -> ai0"; only for modules.
     sources : mapping, optional
         Voltage at inputs without a wire: {"ai1": "0.5 V"}, or {"ai1": {"amplitude": "1 V", "frequency": "50 Hz"}}, or a
         function that returns the voltages [V] at an array of times [s]; only for modules.
+    pulses : mapping, optional
+        Frequencies of pulses at trigger terminals, such as {"PFI0": "1 Hz"}; only for modules.
     clock : {'fast', 'real'} or Clock, optional
         With 'fast', time passes only during calls of tasks, in `time.sleep`, and while the main thread waits for a
         callback in `threading.Event.wait` or `queue.Queue.get`, as fast as the machine computes.
@@ -168,12 +171,12 @@ def open_bench(
     SceneError
         If there is no such scene or module, or the description has problems.
     """
-    connections: dict[str, Any] = {"wires": wires} if wires else {}
-    connections |= {"sources": sources} if sources else {}
+    given = {"wires": wires, "sources": sources, "pulses": pulses}
+    connections: dict[str, Any] = {key: value for key, value in given.items() if value}
     document, where = _read_description(bench)
     if document is None:
         if connections:
-            raise SceneError("wires and sources cannot be combined with a scene. Give modules instead of the scene.")
+            raise SceneError(f"{', '.join(connections)} cannot be combined with a scene. Give modules instead of it.")
         scene = rig.load(bench)  # type: ignore[arg-type]  # reports other types
         return NidaqmxBench(connect_scene(scene, clock))
     wired = wired_bench({**document.content, **connections}, where, document.line if document.lines else None)

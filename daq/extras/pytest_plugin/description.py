@@ -16,6 +16,7 @@ from daq.extras.ni_device.connecting import name_devices, with_inputs, with_outp
 from daq.extras.ni_device.devices.measurements import MEASUREMENTS
 from daq.extras.ni_device.devices.modules import (
     CHASSIS_CATEGORY,
+    CHASSIS_TIMEBASE_HZ,
     COMPACT_DAQ_BUS,
     MODULE_CATEGORY,
     MULTIFUNCTION_CATEGORY,
@@ -35,21 +36,26 @@ from rig.core.settings.settings import Settings
 
 Voltage = Annotated[float, Quantity(VOLTAGE)]
 Range = Annotated[float, Quantity(VOLTAGE, above=0.0)]
+Frequency = Annotated[float, Quantity(FREQUENCY, above=0.0)]
 SampleRate = Annotated[float, Quantity(SAMPLE_RATE, above=0.0)]
 #: Voltage of a source [V], as a function of bench time [s]; argument and result are arrays of the same shape.
 VoltageFunction = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 _WIRE = re.compile(r"\s*(\S+)\s*->\s*(\S+)\s*")
-_NAME_IN_CHASSIS = re.compile(r"(.+)Mod(\d+)")
+_NAME_IN_CHASSIS = re.compile(r"(.+)Mod([1-9]\d*)")
 # Lowest sample rate [Hz] of a device that is described by its numbers of channels; slower tests would take hours.
 _SLOWEST_HZ = 0.1
-# Timebases [Hz] of CompactDAQ chassis, and of M Series devices such as USB-6211.
-_CHASSIS_TIMEBASE_HZ, _USB_TIMEBASE_HZ = 80e6, 20e6
+# Timebase of M Series devices such as USB-6211 [Hz].
+_USB_TIMEBASE_HZ = 20e6
 # Number of slots by type of chassis.
 _SLOTS = {
     **dict.fromkeys(("cDAQ-9171", "cDAQ-9181", "cDAQ-9191"), 1),
     **dict.fromkeys(("cDAQ-9132", "cDAQ-9134", "cDAQ-9136", "cDAQ-9174", "cDAQ-9184", "cDAQ-9185"), 4),
     **dict.fromkeys(
-        ("cDAQ-9133", "cDAQ-9135", "cDAQ-9137", "cDAQ-9138", "cDAQ-9172", "cDAQ-9178", "cDAQ-9188", "cDAQ-9189"), 8
+        (
+            *("cDAQ-9133", "cDAQ-9135", "cDAQ-9137", "cDAQ-9138", "cDAQ-9172"),
+            *("cDAQ-9178", "cDAQ-9188", "cDAQ-9188XT", "cDAQ-9189"),
+        ),
+        8,
     ),
     **dict.fromkeys(("cDAQ-9139", "cDAQ-9179"), 14),
 }
@@ -64,7 +70,7 @@ class ModuleDescription(Settings):
     """Name on the bench, such as cDAQ1Mod1 or Dev1; None: as the driver assigns it."""
     family: Literal["c_series", "usb"] = "usb"
     """Whether it is a module in a chassis (c_series), or a separate device (usb, also for PCI and PXI)."""
-    timebase: Annotated[float, Quantity(FREQUENCY, above=0.0)] | None = None
+    timebase: Frequency | None = None
     """Clock that the sample clocks divide [Hz]; None: that of the chassis, or 20 MHz of a separate device."""
     inputs: Annotated[int, Field(ge=0, le=1000)] = 0
     """Number of analog inputs."""
@@ -100,6 +106,11 @@ class ModuleDescription(Settings):
                 f"no data sheet for {self.product_type!r}. Choose {', '.join(names)}, or give the "
                 "channels of the device, such as {product_type: USB-6211, inputs: 16, outputs: 2, fastest: 250 kHz}",
             )
+        if self.aggregate is not None and self.aggregate > self.fastest:
+            yield Problem(("aggregate",), f"{self.aggregate:g} Hz exceeds fastest, {self.fastest:g} Hz. Reduce it")
+        fastest = max(self.fastest if self.inputs else 0.0, self.output_fastest if self.outputs else 0.0)
+        if self.timebase is not None and self.timebase < fastest:
+            yield Problem(("timebase",), f"{self.timebase:g} Hz is below the fastest rate, {fastest:g} Hz. Increase it")
 
     def to_module(self, first_input: int, first_output: int) -> Module:
         """Return the device without a name, with the next inputs and outputs of the bench."""
@@ -156,7 +167,7 @@ class Source(Settings):
     """Constant voltage [V]."""
     amplitude: Voltage = 0.0
     """Amplitude of the sine [V]."""
-    frequency: Annotated[float, Quantity(FREQUENCY, above=0.0)] | None = None
+    frequency: Frequency | None = None
     """Frequency of the sine [Hz]."""
 
     def check_consistency(self) -> Iterable[Problem]:
@@ -200,6 +211,8 @@ class BenchDescription(Settings):
     """Connections of outputs to inputs, such as ao0 -> ai0."""
     sources: dict[str, Source] = Field(default_factory=dict)
     """Voltage sources at inputs: a voltage, or the keys offset, amplitude and frequency."""
+    pulses: dict[str, Frequency] = Field(default_factory=dict)
+    """Frequencies of pulses at trigger terminals, such as PFI0; the first rises after one period [Hz]."""
     tasks: dict[str, SavedTask] = Field(default_factory=dict)
     """Saved tasks by name."""
 
@@ -212,7 +225,9 @@ class BenchDescription(Settings):
     def prepare(cls, content: Mapping[str, Any]) -> tuple[Mapping[str, Any], list[Problem]]:
         """Convert product types to descriptions of modules, and voltages to sources."""
         prepared = dict(content)
-        modules, sources = content.get("modules"), content.get("sources")
+        modules, sources, chassis = (content.get(key) for key in ("modules", "sources", "chassis"))
+        if isinstance(chassis, str):
+            prepared["chassis"] = _spelled_as(chassis, _SLOTS)
         if isinstance(modules, Mapping):
             prepared["modules"] = [
                 {"name": name, **(keys if isinstance(keys := _module_keys(item), Mapping) else {"product_type": keys})}
@@ -232,13 +247,17 @@ def _module_keys(item: Any) -> Any:
     """Return the keys of a module that may be given by its product type only."""
     if not isinstance(item, str):
         return item
-    names = (*_modules_with_data_sheet(), *_common_devices())
-    name = next((name for name in names if _normalize(name) == _normalize(item)), item)
+    name = _spelled_as(item, (*_modules_with_data_sheet(), *_common_devices()))
     return {"product_type": name, **_common_devices().get(name, {})}
 
 
-def _normalize(name: str) -> str:
-    return re.sub(r"[\s-]", "", name).lower()
+def _spelled_as(name: str, known_names: Iterable[str]) -> str:
+    """Return the known name that differs from a name only by case, spaces and hyphens, or the name itself."""
+
+    def normalize(text: str) -> str:
+        return re.sub(r"[\s-]", "", text).lower()
+
+    return next((known for known in known_names if normalize(known) == normalize(name)), name)
 
 
 @dataclass(frozen=True)
@@ -248,6 +267,7 @@ class WiredBench:
     modules: tuple[Module, ...]
     wires: Mapping[int, int]  # output at each wired input
     sources: Mapping[int, VoltageFunction]
+    pulses: Mapping[str, float]  # frequencies of pulses at terminals, by their names in lower case [Hz]
     tasks: Mapping[str, SavedTask]
 
 
@@ -289,7 +309,14 @@ def wired_bench(
         index = find_channel(modules, name, "ai", where)[1]
         _check_unconnected(index, name, (wires, voltages), where)
         voltages[index] = source.voltage if isinstance(source, Source) else source
-    return WiredBench(tuple(modules), wires, voltages, description.tasks)
+    pulses: dict[str, float] = {}
+    owners = {device.name.lower(): (device.chassis or device.name).lower() for device in modules}
+    for terminal, frequency in description.pulses.items():
+        name, _, port = terminal.lower().lstrip("/").rpartition("/")
+        if not re.fullmatch(r"pfi\d+", port) or (name and name not in owners):
+            raise SceneError(f"{where}: pulses: {terminal!r} is not a trigger terminal. Give a name such as PFI0.")
+        pulses[f"{owners[name]}/{port}" if name else port] = frequency
+    return WiredBench(tuple(modules), wires, voltages, pulses, description.tasks)
 
 
 def _check_unconnected(index: int, name: str, connected: Sequence[Mapping[int, Any]], where: str) -> None:
@@ -333,7 +360,7 @@ def _with_chassis_timebase(modules: Sequence[Module]) -> list[Module]:
     }
 
     def dividing(rates: Rates) -> Rates:
-        return replace(rates, timebase=rates.timebase or _CHASSIS_TIMEBASE_HZ)
+        return replace(rates, timebase=rates.timebase or CHASSIS_TIMEBASE_HZ)
 
     return [
         replace(device, rates=dividing(device.rates), output_rates=dividing(device.output_rates))

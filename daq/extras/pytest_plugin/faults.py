@@ -108,12 +108,17 @@ class Faults:
 
     def plug_in(self, device: str = "") -> None:
         """Connect an unplugged device again, or a chassis with its modules; without a name, all devices."""
-        name = device.lower()
-        selected = [key for key, module in self._unplugged.items() if name in ("", key, module.chassis.lower())]
+        name, unplugged = device.lower(), list(self._unplugged.values())
+        selected = [module for module in unplugged if name in ("", module.name.lower(), module.chassis.lower())]
         if name and not selected:
-            raise SceneError(f"{device} is not unplugged. Give one of {', '.join(self._unplugged) or 'none'}.")
-        for key in selected:
-            self._chassis.devices.add(self._unplugged.pop(key))
+            names = ", ".join(module.name for module in unplugged) or "none"
+            raise SceneError(f"{device} is not unplugged. Give one of {names}.")
+        with self._chassis.changed:
+            # A module is connected through its chassis.
+            connected = {name for module in selected for name in (module.name, module.chassis)}
+            for module in unplugged:
+                if module.name in connected:
+                    self._chassis.devices.add(self._unplugged.pop(module.name.lower()))
 
     def reset(self) -> list[str]:
         """End all faults, and return the failures that have not occurred, as the calls that required them."""

@@ -90,9 +90,9 @@ def _benches(config: pytest.Config) -> Iterator[Callable[..., NidaqmxBench]]:
     with ExitStack() as stack:
 
         def open_for_test(bench: Any = None, **settings: Any) -> NidaqmxBench:
-            if unknown := settings.keys() - {"wires", "sources", "clock"}:
-                names = ", ".join(sorted(unknown))
-                raise TypeError(f"nidaqmx_bench() has no argument {names}. Choose bench, wires, sources, clock.")
+            names = "bench, wires, sources, pulses, clock"
+            if unknown := settings.keys() - names.split(", "):
+                raise TypeError(f"nidaqmx_bench() has no argument {', '.join(sorted(unknown))}. Choose {names}.")
             chosen = _chosen_bench(config) if bench is None else bench
             return stack.enter_context(_bench_in_use(chosen, **settings))
 

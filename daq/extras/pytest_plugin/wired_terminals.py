@@ -44,7 +44,7 @@ class WiredTerminals:
 
     def __init__(self, wired: WiredBench) -> None:
         self.bench = self
-        self._wires, self._sources = wired.wires, wired.sources
+        self._wires, self._sources, self._pulses = wired.wires, wired.sources, wired.pulses
         modules = [module for module in wired.modules if module.inputs or module.outputs]
         self.rate = self.tick_rate = _tick_rate(modules)
         self.channels: tuple[ChannelInfo, ...] = tuple(
@@ -150,6 +150,10 @@ class WiredTerminals:
     def teds(self, bench_index: int) -> bytes | None:
         """See `Terminals.teds`: the inputs have no sensors."""
         return None
+
+    def pulse_frequency(self, owner: str, terminal: str) -> float:
+        """See `Terminals.pulse_frequency`."""
+        return self._pulses.get(f"{owner}/{terminal}", self._pulses.get(terminal, 0.0))
 
     def filter_properties(self, bench_index: int, rate: float | None) -> dict[str, Any]:
         """See `Terminals.filter_properties`: the inputs have no filter."""

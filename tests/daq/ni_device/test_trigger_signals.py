@@ -144,10 +144,13 @@ def test_output_starts_one_tick_after_triggered_input(chassis):
             Code.INVALID_ANALOG_TRIG_SRC,
             "Dev1/ai0",
         ),
-        (
-            lambda task: task.triggers.start_trigger.cfg_dig_edge_start_trig("/Dev1/Nowhere"),
-            Code.ROUTE_NOT_SUPPORTED_BY_HW_ROUTING,
-            "PFI0",
+        *(
+            (
+                lambda task, terminal=terminal: task.triggers.start_trigger.cfg_dig_edge_start_trig(terminal),
+                Code.ROUTE_NOT_SUPPORTED_BY_HW_ROUTING,
+                "PFI0",
+            )
+            for terminal in ("/Dev1/Nowhere", "ai/SampleClock", "PFI0x", "/Dev1/ci/StartTrigger", "ao/ReferenceTrigger")
         ),
         (
             lambda task: task.triggers.reference_trigger.cfg_anlg_edge_ref_trig("Dev1/ai0", 100),

@@ -12,13 +12,10 @@ from hypothesis import strategies as st
 from daq.extras.ni_device.engines.triggers import (
     AnalogSource,
     AtTime,
-    OtherTask,
-    SyncPulse,
-    digital_source,
+    Pulses,
     edge,
     window,
 )
-from daq.extras.ni_device.errors import Code, DaqError
 from daq.extras.ni_device.values import Slope, WindowCondition
 
 # Few values, so that samples are often equal to levels and limits.
@@ -82,41 +79,19 @@ def test_skipped_trigger_disarms(cuts):
 @settings(max_examples=40)
 @given(
     rate=st.sampled_from([Fraction(2), Fraction(5120), Fraction(10_000, 3), Fraction(51_200), Fraction(7, 2)]),
-    second=st.integers(0, 3000),
+    frequency=st.sampled_from([Fraction(1), Fraction(3), Fraction(1, 2)]),
+    number=st.integers(0, 3000),
     offset=st.integers(-2, 2),
 )
-def test_next_pulse_is_first_from_sample(rate, second, offset):
-    tick = max(0, ceil(second * rate / 2) + offset)
+def test_next_pulse_is_first_from_sample(rate, frequency, number, offset):
+    tick = max(0, ceil(number / frequency * rate / 2) + offset)
     for slope, first in ((Slope.RISING, Fraction(1)), (Slope.FALLING, Fraction(3, 2))):
-        edges = (first + k for k in range(second + 3))
+        edges = ((first + k) / frequency for k in range(number + 3))
         expected = next(ceil(time * rate) for time in edges if time * rate >= tick)
-        assert SyncPulse(slope).next_instant(tick, float(rate)) == expected
+        assert Pulses(slope, float(frequency)).next_instant(tick, float(rate)) == expected
 
 
 def test_time_trigger_is_at_next_sample():
     start = AtTime(0.3)
     assert [start.next_instant(tick, 1000.0) for tick in (0, 300, 301)] == [300, 300, 301]
     assert AtTime(0.30001).next_instant(0, 1000.0) == 301
-
-
-@pytest.mark.parametrize(
-    ("terminal", "source"),
-    [
-        ("/Dev1/PFI0", SyncPulse(Slope.FALLING)),
-        (" pfi12 ", SyncPulse(Slope.FALLING)),
-        ("/Dev1/ai/StartTrigger", OtherTask("Dev1", "ai", False)),
-        ("/Dev2/ao/StartTrigger", OtherTask("Dev2", "ao", False)),
-        ("ai/referencetrigger", OtherTask("", "ai", True)),
-    ],
-)
-def test_terminal_has_pulse_or_trigger_of_task(terminal, source):
-    assert digital_source(terminal, Slope.FALLING) == source
-
-
-@pytest.mark.parametrize(
-    "terminal", ["", "PFI", "ai/SampleClock", "PFI0x", "/Dev1/ci/StartTrigger", "ao/ReferenceTrigger"]
-)
-def test_error_of_unusable_terminal_names_usable_terminals(terminal):
-    with pytest.raises(DaqError, match="PFI0") as caught:
-        digital_source(terminal, Slope.RISING)
-    assert caught.value.code == Code.ROUTE_NOT_SUPPORTED_BY_HW_ROUTING == -89136

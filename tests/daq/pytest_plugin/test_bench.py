@@ -218,7 +218,7 @@ def test_limits_choose_range_and_resolution(open_for_test):
 def test_names_are_those_of_description(open_for_test):
     bench = open_for_test(
         {
-            "chassis": "cDAQ-9174",
+            "chassis": "cdaq 9174",
             "modules": {
                 "myMod2": "ni9234",
                 "myMod1": "NI 9263",
@@ -247,6 +247,11 @@ def test_names_are_those_of_description(open_for_test):
         (TWO_MODULES, {"wires": ["ao0 -> ai0"], "sources": {"ai0": "1 V"}}, "ai0 is connected twice"),
         (TWO_MODULES, {"sources": {"ai0": "1 kg"}}, 'sources.ai0.offset: got "1 kg"; expected a voltage'),
         ([{"product_type": "X", "inputs": 1, "terminals": []}], {}, "terminals: got .*a list of length 1 or more"),
+        ([{"product_type": "X", "inputs": 1, "aggregate": 3e5}], {}, "aggregate: 300000 Hz exceeds fastest, 250000 Hz"),
+        ([{"product_type": "X", "inputs": 1, "timebase": 1e3}], {}, "timebase: 1000 Hz is below the fastest rate"),
+        ({"modules": {"cDAQ1Mod0": "NI 9234"}}, {}, "its name 'cDAQ1Mod0' does not state"),
+        (TWO_MODULES, {"pulses": {"ai0": "1 Hz"}}, "pulses: 'ai0' is not a trigger terminal. Give a name such as PFI0"),
+        (TWO_MODULES, {"pulses": {"Dev1/PFI0": "1 Hz"}}, "pulses: 'Dev1/PFI0' is not a trigger terminal"),
         ({"modules": {"Dev1": 7}}, {}, r"modules\[1\].product_type: got 7"),
         ({"modules": {"Dev1": "USB-6001", "dev1": "USB-6002"}}, {}, "'Dev1' is the name of two devices"),
         ({"modules": {"mine": "NI 9234"}}, {}, "NI 9234 is in a chassis, which its name 'mine' does not state"),
@@ -337,6 +342,65 @@ def test_output_follows_clock_of_inputs(open_for_test):
         assert np.array(inputs.read(20_000)) == pytest.approx(volts, abs=4e-4)  # 16 bits of ±10 V
 
 
+def test_terminals_belong_to_their_device(open_for_test):
+    bench = open_for_test(["USB-6211", "USB-6211"], wires=["Dev1/ao0 -> Dev1/ai0"])
+    with task_on(bench) as first, task_on(bench) as second, task_on(bench) as outputs, task_on(bench) as waiting:
+        first.ai_channels.add_ai_voltage_chan("Dev1/ai0")
+        second.ai_channels.add_ai_voltage_chan("Dev2/ai0")
+        outputs.ao_channels.add_ao_voltage_chan("Dev1/ao0")
+        waiting.ao_channels.add_ao_voltage_chan("Dev1/ao1")
+        first.timing.cfg_samp_clk_timing(1000.0, samps_per_chan=100)
+        second.timing.cfg_samp_clk_timing(5000.0, samps_per_chan=100)
+        outputs.timing.cfg_samp_clk_timing(5000.0, "/Dev1/ai/SampleClock", samps_per_chan=100)
+        waiting.timing.cfg_samp_clk_timing(5000.0, samps_per_chan=100)
+        waiting.triggers.start_trigger.cfg_dig_edge_start_trig("/Dev2/ai/StartTrigger")
+        outputs.write(np.arange(100) * 0.01)
+        outputs.start()
+        waiting.write(np.zeros(100))
+        waiting.start()
+        assert np.array(first.read(100)) == pytest.approx(np.arange(100) * 0.01, abs=4e-4)  # 16 bits of ±10 V
+        assert waiting.out_stream.total_samp_per_chan_generated == 0
+        second.read(100)
+        waiting.wait_until_done()
+
+
+@pytest.mark.parametrize(
+    ("pulses", "elapsed"),
+    [({"PFI0": "4 Hz"}, 0.25), ({"cDAQ1Mod2/PFI0": 2}, 0.5), ({"PFI1": "1 Hz"}, None), ({}, None)],
+)
+def test_input_trigger_requires_pulses(open_for_test, pulses, elapsed):
+    bench = open_for_test(pulses=pulses)
+    missing = raises_code(-200284, "start trigger has not occurred: the bench has no pulses at /cDAQ1/PFI0")
+    with continuous(bench) as task, nullcontext() if elapsed else missing:
+        task.triggers.start_trigger.cfg_dig_edge_start_trig("/cDAQ1/PFI0")
+        task.read(1, timeout=2.0)
+        assert elapsed <= bench.elapsed < elapsed + 0.02
+
+
+def test_output_trigger_requires_pulses(open_for_test):
+    with task_on(open_for_test()) as output:
+        output.ao_channels.add_ao_voltage_chan("cDAQ1Mod2/ao0")
+        output.timing.cfg_samp_clk_timing(1000.0, samps_per_chan=10)
+        output.triggers.start_trigger.cfg_dig_edge_start_trig("PFI0")
+        output.write(np.zeros(10))
+        output.start()
+        with raises_code(-200560, "no pulses at PFI0"):
+            output.wait_until_done(2.0)
+
+
+@pytest.mark.parametrize(
+    ("device", "interval", "fits"), [("PCIe-6361", 300, False), ("USB-6211", 300, True), ("PCIe-6361", 250, True)]
+)
+def test_event_interval_divides_buffer_for_dma(open_for_test, device, interval, fits):
+    with task_on(open_for_test([device])) as task:
+        task.ai_channels.add_ai_voltage_chan("Dev1/ai0")
+        task.timing.cfg_samp_clk_timing(1000.0, sample_mode=AcquisitionType.CONTINUOUS)
+        task.in_stream.input_buf_size = 500
+        task.register_every_n_samples_acquired_into_buffer_event(interval, lambda *_: 0)
+        with nullcontext() if fits else raises_code(-200877, "500 samples is not a multiple of the 300"):
+            task.start()
+
+
 @pytest.mark.parametrize("follower", ["NI 9215", "NI 9205"])
 @pytest.mark.parametrize("order", [1, -1])
 def test_delta_sigma_module_determines_common_rate(open_for_test, follower, order):
@@ -378,7 +442,32 @@ def test_output_rate_is_at_most_fastest(open_for_test):
     with task_on(open_for_test(["PCIe-6361"])) as task:
         task.ao_channels.add_ao_voltage_chan("Dev1/ao0")
         task.timing.cfg_samp_clk_timing(2.86e6, samps_per_chan=10)
-        assert task.timing.samp_clk_rate == 100e6 / 35
+        assert task.timing.samp_clk_rate == task.timing.samp_clk_max_rate == 100e6 / 35
+
+
+def test_slowest_output_module_limits_rate(open_for_test):
+    with task_on(open_for_test(["NI 9263", "NI 9264"])) as task:
+        task.ao_channels.add_ao_voltage_chan("cDAQ1Mod1/ao0, cDAQ1Mod2/ao0")
+        assert task.timing.samp_clk_max_rate == 25e3
+        with raises_code(-200077, "NI 9264: got 50000 Hz"):
+            task.timing.cfg_samp_clk_timing(50e3, samps_per_chan=10)
+
+
+def test_divisor_of_exact_output_rate_returns_rate(open_for_test):
+    with task_on(open_for_test(["NI 9234", "NI 9263"])) as task:
+        task.ao_channels.add_ao_voltage_chan("cDAQ1Mod2/ao0")
+        task.timing.cfg_samp_clk_timing(10e3, samps_per_chan=10)
+        assert (task.timing.samp_clk_timebase_rate, task.timing.samp_clk_timebase_div) == (80e6, 8000)
+        task.timing.samp_clk_timebase_div = 8000
+        assert task.timing.samp_clk_rate == 10e3
+
+
+def test_highest_rate_of_shared_converter_is_accepted(open_for_test):
+    device = {"product_type": "X", "inputs": 4, "fastest": "30 kHz", "aggregate": "30 kHz"}
+    with task_on(open_for_test([device])) as task:
+        task.ai_channels.add_ai_voltage_chan("Dev1/ai0:1")
+        task.timing.cfg_samp_clk_timing(task.timing.samp_clk_max_rate, samps_per_chan=10)
+        assert len(task.read(10)[0]) == 10
 
 
 @pytest.mark.parametrize("device", ["USB-6211", "NI 9205"])
@@ -412,6 +501,7 @@ def test_limiting_converter_is_named(open_for_test):
         ("USB-6211", "ai8", {"RSE", "NRSE"}, "NRSE"),
         ("NI 9205", "ai16", {"RSE", "NRSE", "DIFF"}, "DIFF"),
         ("USB-6001", "ai4", {"RSE"}, "RSE"),
+        ({"product_type": "X", "inputs": 16, "terminals": ["nrse", "differential"]}, "ai8", {"NRSE"}, "NRSE"),
     ],
 )
 def test_terminal_configurations_are_those_of_input(open_for_test, device, channel, supported, default):
@@ -625,8 +715,16 @@ def test_one_device_is_plugged_in(open_for_test):
         bench.faults.unplug(device)
     bench.faults.plug_in("cDAQ1Mod1")
     assert nidaqmx.system.System.remote(bench.grpc_options).devices.device_names == ["cDAQ1", "cDAQ1Mod1"]
-    with pytest.raises(SceneError, match="cDAQ1Mod1 is not unplugged"):
+    with pytest.raises(SceneError, match=r"Mod1 is not unplugged. Give one of cDAQ1Mod2"):
         bench.faults.plug_in("cDAQ1Mod1")
+
+
+def test_plugging_in_module_connects_its_chassis(open_for_test):
+    bench = open_for_test()
+    bench.faults.unplug("cDAQ1")
+    bench.faults.plug_in("cDAQ1Mod1")
+    names = nidaqmx.system.System.remote(bench.grpc_options).devices.device_names
+    assert sorted(names) == ["cDAQ1", "cDAQ1Mod1"]
 
 
 @pytest.mark.parametrize("device", ["cDAQ1Mod1", "cDAQ1"])

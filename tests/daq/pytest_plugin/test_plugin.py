@@ -145,7 +145,7 @@ def test_leak(fixture_task, number):
     assert number == 2
 
 def test_wrong_argument(nidaqmx_bench):
-    with pytest.raises(TypeError, match="has no argument source. Choose bench, wires, sources, clock"):
+    with pytest.raises(TypeError, match="has no argument source. Choose bench, wires, sources, pulses, clock"):
         nidaqmx_bench(source={})
     nidaqmx_bench().faults.fail("read", -200279)
 """

@@ -35,6 +35,8 @@ _TERMINALS = (
     "ao/StartTrigger",
     "ai/ReferenceTrigger",
 )
+# Timebase of CompactDAQ chassis [Hz].
+CHASSIS_TIMEBASE_HZ = 80e6
 # Rates of inputs and outputs without a named module: 51.2 kS/s divided by integers up to 31.
 DEFAULT_RATES = Rates(51200.0 / 31, 51200.0, tuple(51200.0 / divisor for divisor in range(31, 0, -1)))
 
@@ -58,7 +60,7 @@ class Module:
     output_bits: int | None = None  # resolution of the outputs; None if they are ideal
     rates: Rates = DEFAULT_RATES  # sample rates of the inputs
     output_rates: Rates = DEFAULT_RATES  # sample rates of the outputs
-    timebase: float = 13.1072e6  # clock that the sample clocks divide, for rates without a timebase [Hz]
+    timebase: float = 13.1072e6  # clock that the listed rates divide [Hz]
     scene_rate: float | None = None  # rate of a converter without a preset, S/s, accepted in addition to `rates`
     couplings: tuple[Coupling, ...] = (Coupling.AC, Coupling.DC)
     terminal_configurations: tuple[TerminalConfiguration, ...] = (TerminalConfiguration.PSEUDO_DIFFERENTIAL,)
@@ -89,21 +91,30 @@ class Module:
         except SceneError as error:
             raise invalid_value(f"sample clock rate of {self.product_type}: {error}") from None
 
+    @property
+    def uses_dma(self) -> bool:
+        """Whether samples are transferred by DMA (direct memory access), as on PCI and PXI."""
+        return self.product_type.upper().startswith(("PCI", "PXI"))
+
     def timebase_of(self, output: bool) -> float:
         """Return the frequency of the clock that the sample clock of inputs or outputs divides [Hz]."""
-        return self.rates_of(output).timebase or self.timebase
+        rates = self.rates_of(output)
+        # A module with exact rates is next to a delta-sigma module, in a chassis.
+        return rates.timebase or (self.timebase if rates.available else CHASSIS_TIMEBASE_HZ)
 
     def rates_of(self, output: bool) -> Rates:
         """Return the sample rates of the inputs or outputs."""
         return self.output_rates if output else self.rates
 
-    def max_rate(self, count: int) -> float:
-        """Return the highest sample rate of `count` inputs, S/s.
+    def max_rate(self, count: int, output: bool) -> float:
+        """Return the highest sample rate of `count` inputs or outputs, S/s.
 
         A shared converter converts one input after the other. Above `aggregate_rate`, the driver warns that the inputs
         do not settle (200011), and returns samples.
         """
-        return self.rates.fastest if self.aggregate_rate is None else self.rates.fastest / count
+        rates = self.rates_of(output)
+        limit = rates.fastest if output or self.aggregate_rate is None else rates.fastest / count
+        return limit if rates.timebase is None else rates.timebase / math.ceil(rates.timebase / limit - 1e-6)
 
     def terminal_configurations_at(self, number: int) -> tuple[TerminalConfiguration, ...]:
         """Return the terminal configurations of an input.
@@ -112,7 +123,8 @@ class Module:
         differential input.
         """
         pair_distance = max(1, min(8, len(self.inputs) // 2))
-        if TerminalConfiguration.RSE not in self.terminal_configurations or number // pair_distance % 2 == 0:
+        single_ended = {TerminalConfiguration.RSE, TerminalConfiguration.NRSE}
+        if single_ended.isdisjoint(self.terminal_configurations) or number // pair_distance % 2 == 0:
             return self.terminal_configurations
         return tuple(value for value in self.terminal_configurations if value != TerminalConfiguration.DIFFERENTIAL)
 

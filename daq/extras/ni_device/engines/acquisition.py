@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from daq.core.virtual_bench.bench import first_sample, first_tick, samples_per_tick
 from daq.extras.ni_device.engines.ring_buffer import RingBuffer
-from daq.extras.ni_device.engines.triggers import AnalogSource, AtTime, CrossingFinder, OtherTask, Source, SyncPulse
+from daq.extras.ni_device.engines.triggers import AnalogSource, AtTime, CrossingFinder, OtherTask, Pulses, Source
 from daq.extras.ni_device.errors import Code, DaqError
 from daq.extras.ni_device.settings.scales import Scale
 
@@ -151,7 +151,7 @@ class Acquisition:
         instant = self.first_instant
         if reference:
             instant = None if self.trigger_sample is None else self.instant_of(self.trigger_sample)
-        elif instant is None and isinstance(self.plan.start, SyncPulse | AtTime):
+        elif instant is None and isinstance(self.plan.start, Pulses | AtTime):
             earliest = max(first_sample(self._per_tick, tick), self.armed_instant)
             instant = self.plan.start.next_instant(earliest, self.plan.rate)
         return None if instant is None else self.tick_at(instant)
@@ -241,7 +241,7 @@ class Acquisition:
 
     def _event_instant(self, source: Source | None, earliest: int, event_tick: EventTick) -> int | None:
         """Return the instant of a non-analog trigger, from `earliest` on; None before another task's trigger."""
-        if isinstance(source, SyncPulse | AtTime):
+        if isinstance(source, Pulses | AtTime):
             return source.next_instant(earliest, self.plan.rate)
         assert isinstance(source, OtherTask)
         tick = event_tick(source)

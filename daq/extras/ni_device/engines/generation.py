@@ -8,7 +8,7 @@ import numpy as np
 
 from daq.extras.ni_device.engines.acquisition import EventTick
 from daq.extras.ni_device.engines.ring_buffer import allocate
-from daq.extras.ni_device.engines.triggers import AtTime, OtherTask, SyncPulse
+from daq.extras.ni_device.engines.triggers import AtTime, OtherTask, Pulses
 from daq.extras.ni_device.errors import Code, DaqError
 from rig.core.base.arrays import Array
 
@@ -59,7 +59,7 @@ class OutputPlan:
     per_tick: Fraction  # samples per tick
     samples: int | None  # samples per channel of a finite generation; None for a continuous generation
     regenerates: bool  # repeat the buffer
-    start: SyncPulse | AtTime | OtherTask | None = None  # start trigger
+    start: Pulses | AtTime | OtherTask | None = None  # start trigger
 
 
 class Generation:
@@ -95,7 +95,7 @@ class Generation:
         """
         if reference:
             return None
-        if self.first_tick is None and isinstance(self.plan.start, SyncPulse | AtTime):
+        if self.first_tick is None and isinstance(self.plan.start, Pulses | AtTime):
             return self.plan.start.next_instant(max(tick, self.armed_tick), self.plan.tick_rate)
         return self.first_tick
 
@@ -155,7 +155,7 @@ class Generation:
     def _find_start(self, tick: int, count: int, event_tick: EventTick) -> int | None:
         """Return the tick of the start if it is among the `count` ticks from `tick` on, otherwise None."""
         source = self.plan.start
-        if isinstance(source, SyncPulse | AtTime):
+        if isinstance(source, Pulses | AtTime):
             start_tick: int | None = source.next_instant(max(self.armed_tick, tick), self.plan.tick_rate)
         else:
             assert source is not None

@@ -5,23 +5,20 @@ falling edge is the mirror image. A window trigger is at the first sample inside
 the reverse. The sample of a start trigger is the first sample of the record. The sample of a reference trigger has the
 index `pretrigger_samples` in the record.
 
-Digital edges are signals at terminals. Every PFI line of the chassis carries the sync output of the bench, one pulse
-per second: it rises at 1 s, 2 s, ... of bench time and falls half a second later. `ai/StartTrigger`,
-`ao/StartTrigger` and `ai/ReferenceTrigger` are the start and the reference trigger of other tasks.
+Digital edges are signals at terminals. A PFI line carries the pulses that the bench connects to it, if any. Those of a
+scene carry the sync output of the bench, one pulse per second: it rises at 1 s, 2 s, ... of bench time and falls half a
+second later. `ai/StartTrigger`, `ao/StartTrigger` and `ai/ReferenceTrigger` are the start and the reference trigger of
+other tasks.
 """
 
 import math
-import re
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from daq.extras.ni_device.errors import Code, DaqError
 from daq.extras.ni_device.values import Slope, WindowCondition
-
-_SIGNAL = re.compile(r"/?(?:([^/]+)/)?(PFI\d+|a[io]/StartTrigger|ai/ReferenceTrigger)", re.IGNORECASE)
 
 # Rounding error of a time [s].
 _TIME_ROUNDING_S = 1e-9
@@ -100,17 +97,21 @@ class AnalogSource:
 
 
 @dataclass(frozen=True)
-class SyncPulse:
-    """Rising or falling edges of the sync output, one per second."""
+class Pulses:
+    """Rising or falling edges of the pulses at a terminal."""
 
     edge: Slope
+    frequency: float = 1.0  # pulses per second; 0 if nothing is connected to the terminal
+    terminal: str = ""  # name for messages
 
-    def next_instant(self, earliest: int, rate: float) -> int:
-        """Return the index of the first sample at a rate in Hz, at least `earliest`, at or after an edge."""
-        phase = 0.0 if self.edge == Slope.RISING else 0.5
-        # The first rising edge that can trigger is at 1 s, the first falling edge at 1.5 s.
-        second = max(1, math.ceil(earliest / rate - phase - _TIME_ROUNDING_S))
-        return math.ceil((second + phase) * rate - _SAMPLE_ROUNDING)
+    def next_instant(self, earliest: int, rate: float) -> int | None:
+        """Return the index of the first sample at a rate in Hz, at least `earliest`, at or after an edge, if any."""
+        if not self.frequency:
+            return None
+        phase, period = (0.0 if self.edge == Slope.RISING else 0.5), 1.0 / self.frequency
+        # The first rising edge that can trigger is after one period, the first falling edge half a period later.
+        number = max(1, math.ceil((earliest / rate - _TIME_ROUNDING_S) / period - phase))
+        return math.ceil((number + phase) * period * rate - _SAMPLE_ROUNDING)
 
 
 @dataclass(frozen=True)
@@ -120,7 +121,7 @@ class AtTime:
     seconds: float  # time on the bench since power-on [s]
 
     def next_instant(self, earliest: int, rate: float) -> int:
-        """Return the index of the first sample at or after the time, at least `earliest`; see `SyncPulse`."""
+        """Return the index of the first sample at or after the time, at least `earliest`; see `Pulses`."""
         return max(math.ceil(self.seconds * rate - _SAMPLE_ROUNDING), earliest)
 
 
@@ -128,24 +129,9 @@ class AtTime:
 class OtherTask:
     """The start of another task or, with `reference`, its reference trigger."""
 
-    device: str  # empty: any device
+    owner: str  # chassis or separate device with the terminal, in lower case; empty: any
     direction: str  # "ai" or "ao"
     reference: bool
 
 
-Source = AnalogSource | SyncPulse | AtTime | OtherTask
-
-
-def digital_source(source: str, slope: Slope) -> SyncPulse | OtherTask:
-    """Return the trigger at a terminal such as ``/cDAQ1/PFI0``. Raises `DaqError` -89136 for an unknown terminal."""
-    match = _SIGNAL.fullmatch(source.strip())
-    if not match:
-        raise DaqError(
-            f"terminal {source!r} has no trigger signal. Give /Dev1/PFI0 (one pulse per second), "
-            "/Dev1/ai/StartTrigger, /Dev1/ao/StartTrigger or /Dev1/ai/ReferenceTrigger.",
-            Code.ROUTE_NOT_SUPPORTED_BY_HW_ROUTING,
-        )
-    device, signal = match[1] or "", match[2].lower()
-    if signal.startswith("pfi"):
-        return SyncPulse(slope)
-    return OtherTask(device, signal[:2], signal.endswith("referencetrigger"))
+Source = AnalogSource | Pulses | AtTime | OtherTask

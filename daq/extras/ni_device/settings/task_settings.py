@@ -72,9 +72,8 @@ class TaskSettings:
     def max_rate(self) -> float:
         """Highest rate of the sample clock, S/s: that of the slowest device."""
         modules = [channel.module for channel in self.channels]
-        if self.direction == "ao":
-            return min(module.output_rates.fastest for module in modules)
-        return min((module.max_rate(modules.count(module)) for module in modules), default=math.inf)
+        output = self.direction == "ao"
+        return min((module.max_rate(modules.count(module), output) for module in modules), default=math.inf)
 
     @property
     def regenerates(self) -> bool:

@@ -53,11 +53,14 @@ def draw_bench(picture: str) -> None:
 
 
 def draw_page(page: str, picture: str) -> None:
-    """Draw the first screen of a page."""
-    # Answer and drawing of the rig, legible at the width of a door of the start page.
+    """Draw a report to the end of its answer."""
+    # Answer and drawing of the rig are legible at the width of a door of the start page.
     driver = open_browser(760, 475, 1.75)
     try:
         driver.get(Path(page).resolve().as_uri())
+        end = driver.execute_script("return document.querySelector('.answer').getBoundingClientRect().bottom")
+        size = {"width": 760, "height": round(end), "deviceScaleFactor": 1.75, "mobile": False}
+        driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
         driver.save_screenshot(picture)
     finally:
         driver.quit()

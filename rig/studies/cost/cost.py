@@ -248,8 +248,10 @@ def draw_points(axes: Axes, points: tuple[Point, ...], label: str) -> None:
         if not method_points:
             continue
         color, marker = STYLE_OF_METHOD[method]
-        # A line connects the settings that differ in one parameter only.
-        connected = [point for point in method_points if point.setting != SHORT_STEP_SETTING]
+        # A line connects the settings that differ in one parameter only. "as called" includes setup, "warm" does not;
+        # see `motion_study`.
+        labeled = (SHORT_STEP_SETTING, "as called", "warm")
+        connected = [point for point in method_points if point.setting not in labeled]
         errors = [_drawn_error(point) for point in connected]
         axes.plot([point.cpu for point in connected], errors, "-", color=color, lw=1.0, alpha=0.6)
         for point in method_points:
@@ -258,8 +260,7 @@ def draw_points(axes: Axes, points: tuple[Point, ...], label: str) -> None:
             axes.plot(
                 point.cpu, _drawn_error(point), marker, color=color, ms=marker_size, zorder=order, mfc=face, mew=1.3
             )
-            # "as called" includes setup, "warm" does not; see `motion_study`.
-            if point.setting in (SHORT_STEP_SETTING, "as called", "warm"):
+            if point.setting in labeled:
                 text = "guard pause" if point.setting == SHORT_STEP_SETTING else point.setting
                 axes.annotate(
                     text, (point.cpu, _drawn_error(point)), xytext=(0, -14), textcoords="offset points", fontsize=7,

@@ -233,7 +233,7 @@ def _expected_line(expected: Expected, factor: float) -> str:
 
 
 def _draw(design: Design) -> Figure:
-    with new_figure(7.0, 10.0) as figure:
+    with new_figure(6.5, 9.0) as figure:
         (front, chart), (reductions, responses) = figure.subplots(2, 2)
         design.draw(front)
         front.legend()
@@ -245,8 +245,9 @@ def _draw(design: Design) -> Figure:
         add_page_title(
             figure,
             f"Design (computed): {headline(design)}",
-            f"{design.scene.name}; largest peak at {levels} {design.question.level.unit} without and with dampers"
-            + "; mass at the budget" * is_all,
+            # The part of the name after a comma may describe the dampers that the design replaces.
+            f"{design.scene.name.partition(',')[0]}; largest peak at {levels} {design.question.level.unit} without and "
+            f"with dampers; shot as one mass{'; mass at the budget' * is_all}",
         )
         return figure
 

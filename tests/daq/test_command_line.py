@@ -37,3 +37,11 @@ def test_recording_with_other_extension_is_rejected(command):
     result = CliRunner().invoke(app, command.split())
     assert isinstance(result.exception, RecordingError)
     assert "expected a name such as a.mcap" in str(result.exception)
+
+
+@pytest.mark.parametrize("command", ["record fig9", "serve fig9", "bench fig9"])
+def test_missing_folder_elsewhere_is_rejected(command, tmp_path):
+    result = CliRunner().invoke(app, [*command.split(), "-o", str(tmp_path / "missing" / "a.mcap")])
+    assert isinstance(result.exception, RecordingError)
+    assert "missing. Create it first, or correct the path" in str(result.exception)
+    assert not (tmp_path / "missing").exists()

@@ -316,5 +316,5 @@ def clock(name_or_clock: str | Clock) -> Clock:
     if not isinstance(name_or_clock, str):
         return name_or_clock
     if name_or_clock not in CLOCKS:
-        raise SceneError(f"there is no clock {name_or_clock!r}. Choose {', '.join(CLOCKS)}.")
+        raise SceneError(f"there is no clock {name_or_clock!r}. Choose real or fast; in Python, also manual.")
     return CLOCKS[name_or_clock]()

@@ -101,7 +101,7 @@ def invalid_value(message: str) -> DaqError:
     return DaqError(message, Code.INVALID_ATTRIBUTE_VALUE)
 
 
-def unsupported(feature: str, remedy: str = "Remove it from the script.") -> DaqError:
+def unsupported(feature: str, remedy: str = "Test this part with hardware.") -> DaqError:
     """Return the error for a function that this instrument does not support (-200452)."""
     return DaqError(
         f"{feature} is not supported by the emulated device. {remedy}", Code.ATTRIBUTE_NOT_SUPPORTED_IN_TASK_CONTEXT

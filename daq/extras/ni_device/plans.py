@@ -160,6 +160,10 @@ def _trigger_source(task: TaskSettings, role: str, chassis: Chassis) -> Source |
     if trigger_type == TriggerType.DIGITAL_EDGE:
         prefix = "dig_edge"
         return _digital_source(setting("src"), Slope(setting("edge")), task, chassis)
+    if without := next((channel.module for channel in task.channels if not channel.module.analog_trigger), None):
+        raise invalid_value(
+            f"{without.product_type} has no analog trigger. Choose a digital trigger, or search the samples."
+        )
     if trigger_type == TriggerType.ANALOG_EDGE:
         prefix = "anlg_edge"
         return AnalogSource(

@@ -19,12 +19,11 @@ from daq.extras.ni_device.task import Task
 from daq.extras.ni_server.connection import Connection
 from daq.extras.ni_server.served_instrument import Limits
 from daq.extras.pytest_plugin.callback_waits import CallbackWaits, pause
-from daq.extras.pytest_plugin.description import find_channel, wired_bench
+from daq.extras.pytest_plugin.description import BenchError, find_channel, wired_bench
 from daq.extras.pytest_plugin.faults import Faults
 from daq.extras.pytest_plugin.transfers import Transfers
 from daq.extras.pytest_plugin.wired_terminals import WiredTerminals
 from rig.core.base.arrays import Array
-from rig.core.base.errors import SceneError
 from rig.core.scene.scene import Scene
 from rig.core.scene.scene_files import bundled_scenes, read_text
 from rig.core.scene.yaml_reader import Document, read_yaml
@@ -168,15 +167,15 @@ def open_bench(
 
     Raises
     ------
-    SceneError
-        If there is no such scene or module, or the description has problems.
+    BenchError, SceneError
+        If there is no such module or scene, or the description has problems.
     """
     given = {"wires": wires, "sources": sources, "pulses": pulses}
     connections: dict[str, Any] = {key: value for key, value in given.items() if value}
     document, where = _read_description(bench)
     if document is None:
         if connections:
-            raise SceneError(f"{', '.join(connections)} cannot be combined with a scene. Give modules instead of it.")
+            raise BenchError(f"{', '.join(connections)} cannot be combined with a scene. Give modules instead of it.")
         scene = rig.load(bench)  # type: ignore[arg-type]  # reports other types
         return NidaqmxBench(connect_scene(scene, clock))
     wired = wired_bench({**document.content, **connections}, where, document.line if document.lines else None)
@@ -187,7 +186,7 @@ def open_bench(
             opened.save_task(name, saved.configure)
     except DaqError as error:
         opened.close()
-        raise SceneError(f"{where}: tasks.{name}: {error}") from None
+        raise BenchError(f"{where}: tasks.{name}: {error}") from None
     return opened
 
 
@@ -198,7 +197,8 @@ def _read_description(bench: BenchLike) -> tuple[Document | None, str]:
         path = Path(bench)
         if path.is_file():
             document, where = read_yaml(read_text(path)), str(bench)
-            return (document if isinstance(document.content, dict) and "modules" in document.content else None), where
+            is_scene = not isinstance(document.content, dict) or "structure" in document.content
+            return (None if is_scene else document), where
         if path.suffix not in (".yaml", ".yml"):
             return Document({"modules": [name.strip() for name in str(bench).split(",")]}), where
     elif isinstance(bench, Mapping) and "structure" not in bench:

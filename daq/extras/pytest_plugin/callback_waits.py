@@ -16,6 +16,7 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 from daq.extras.ni_device.chassis import Chassis
+from daq.extras.pytest_plugin.sleeping_threads import SleepingThreads
 
 _wait_for_event, _get_from_queue = threading.Event.wait, queue.Queue.get
 _start_thread = threading.Thread.start
@@ -36,7 +37,7 @@ class CallbackWaits:
     """Counts the callbacks of the tasks of this process, and lets time pass while the main thread waits for them."""
 
     def __init__(self, chassis: Chassis) -> None:
-        self._chassis = chassis
+        self._chassis, self._threads = chassis, SleepingThreads(chassis)
         # Number of finished callbacks of each task, in relation to the number of its events.
         self._finished = Counter[str]()
         # Tasks whose callback did not finish in time: it may wait for the main thread.
@@ -68,6 +69,7 @@ class CallbackWaits:
                 _start_thread(thread)
                 return
             self._is_starting_thread = True
+            self._threads.expect_call()
             try:
                 _start_thread(thread)
             finally:
@@ -82,7 +84,7 @@ class CallbackWaits:
         if self._is_waiting_for_callback():
             self._pass_time(lambda: False, seconds)
         else:
-            self._chassis.pass_time(seconds)
+            self._threads.sleep(seconds)
 
     def _counting(self, register: Callable[..., Any]) -> Callable[..., Any]:
         """Return a method of a task that registers its last argument, a callback, and counts the finished calls."""

@@ -88,6 +88,8 @@ class ModuleDescription(Settings):
     """Resolution of the inputs."""
     fastest: SampleRate = 250e3
     """Highest sample rate of the inputs [Hz]."""
+    analog_trigger: bool = True
+    """Whether an analog input can be the source of a trigger."""
     outputs: Annotated[int, Field(ge=0, le=1000)] = 0
     """Number of analog outputs."""
     output_range: Range = 10.0
@@ -139,6 +141,7 @@ class ModuleDescription(Settings):
                 couplings=(Coupling.DC,),
                 terminal_configurations=tuple(TerminalConfiguration[name.upper()] for name in self.terminals),
                 currents=(),
+                analog_trigger=self.analog_trigger,
                 teds=False,
             )
             counts = [self.inputs, self.outputs]
@@ -260,6 +263,10 @@ def _spelled_as(name: str, known_names: Iterable[str]) -> str:
     return next((known for known in known_names if normalize(known) == normalize(name)), name)
 
 
+class BenchError(SceneError):
+    """A bench without mechanics that is not possible, or a request that it cannot fulfill."""
+
+
 @dataclass(frozen=True)
 class WiredBench:
     """The devices of a bench, and the outputs and sources connected to its inputs, by indices on the bench."""
@@ -277,7 +284,7 @@ def wired_bench(
     """Check the content of a description and return its bench.
 
     A source may also be a function of time; see `VoltageFunction`. `where` and `line` locate problems in messages.
-    Raises `SceneError` if the content has problems; the message has one line for each.
+    Raises `BenchError` if the content has problems; the message has one line for each.
     """
     sources = content.get("sources")
     functions = {key: item for key, item in sources.items() if callable(item)} if isinstance(sources, Mapping) else {}
@@ -286,22 +293,22 @@ def wired_bench(
     try:
         description = BenchDescription.model_validate(content)
     except ValidationError as error:
-        raise SceneError(describe(problems_of(error), where, line)) from None
+        raise BenchError(describe(problems_of(error), where, line)) from None
     modules = _with_chassis_timebase(_named_modules(description))
     slots = _SLOTS[description.chassis]
     if surplus := next((device.name for device in modules if device.slot > slots), None):
-        raise SceneError(
+        raise BenchError(
             f"{where}: modules: {surplus} is in no slot: {description.chassis} has {slots} slots. Remove it."
         )
     names = [device.name.lower() for device in modules]
     if repeated := next((device.name for device in modules if names.count(device.name.lower()) > 1), None):
-        raise SceneError(f"{where}: modules: {repeated!r} is the name of two devices. Give each device its own name.")
+        raise BenchError(f"{where}: modules: {repeated!r} is the name of two devices. Give each device its own name.")
     wires: dict[int, int] = {}
     voltages: dict[int, VoltageFunction] = {}
     for wire in description.wires:
         match = _WIRE.fullmatch(wire)
         if match is None:
-            raise SceneError(f"{where}: wires: {wire!r} is not a wire. Write it as ao0 -> ai0.")
+            raise BenchError(f"{where}: wires: {wire!r} is not a wire. Write it as ao0 -> ai0.")
         output, target = (find_channel(modules, match[1], "ao", where), find_channel(modules, match[2], "ai", where))
         _check_unconnected(target[1], match[2], (wires,), where)
         wires[target[1]] = output[1]
@@ -314,14 +321,14 @@ def wired_bench(
     for terminal, frequency in description.pulses.items():
         name, _, port = terminal.lower().lstrip("/").rpartition("/")
         if not re.fullmatch(r"pfi\d+", port) or (name and name not in owners):
-            raise SceneError(f"{where}: pulses: {terminal!r} is not a trigger terminal. Give a name such as PFI0.")
+            raise BenchError(f"{where}: pulses: {terminal!r} is not a trigger terminal. Give a name such as PFI0.")
         pulses[f"{owners[name]}/{port}" if name else port] = frequency
     return WiredBench(tuple(modules), wires, voltages, pulses, description.tasks)
 
 
 def _check_unconnected(index: int, name: str, connected: Sequence[Mapping[int, Any]], where: str) -> None:
     if any(index in connections for connections in connected):
-        raise SceneError(f"{where}: {name} is connected twice. Connect one wire or one source to each input.")
+        raise BenchError(f"{where}: {name} is connected twice. Connect one wire or one source to each input.")
 
 
 def _named_modules(description: BenchDescription) -> list[Module]:
@@ -337,7 +344,7 @@ def _named_modules(description: BenchDescription) -> list[Module]:
             continue
         match = _NAME_IN_CHASSIS.fullmatch(device.name)
         if match is None:
-            raise SceneError(
+            raise BenchError(
                 f"modules: {device.product_type} is in a chassis, which its name {device.name!r} does not state. "
                 "Choose a name of chassis and slot, such as cDAQ1Mod1."
             )
@@ -373,7 +380,7 @@ def _with_chassis_timebase(modules: Sequence[Module]) -> list[Module]:
 def find_channel(modules: Iterable[Module], name: str, direction: str, where: str) -> tuple[str, int]:
     """Return name and index on the bench of a channel: `cDAQ1Mod1/ai0`, or `ai0` if only one device has this channel.
 
-    `direction` is "ai" or "ao". Raises `SceneError` if there is no such channel, or several.
+    `direction` is "ai" or "ao". Raises `BenchError` if there is no such channel, or several.
     """
     channels = {
         channel: index
@@ -388,7 +395,7 @@ def find_channel(modules: Iterable[Module], name: str, direction: str, where: st
         return matches[0], channels[matches[0]]
     kind = "input" if direction == "ai" else "output"
     if matches:
-        raise SceneError(f"{where}: {name!r} is ambiguous. Choose {' or '.join(matches)}.")
-    raise SceneError(
+        raise BenchError(f"{where}: {name!r} is ambiguous. Choose {' or '.join(matches)}.")
+    raise BenchError(
         f"{where}: the bench has no {kind} {name!r}. Its {kind}s are {', '.join(channels) or 'none'}; choose one."
     )

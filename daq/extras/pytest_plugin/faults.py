@@ -12,8 +12,7 @@ from daq.extras.ni_device.devices.modules import Module
 from daq.extras.ni_device.engines.acquisition import Acquisition
 from daq.extras.ni_device.errors import Code, DaqError
 from daq.extras.ni_device.task import Task
-from daq.extras.pytest_plugin.description import find_channel
-from rig.core.base.errors import SceneError
+from daq.extras.pytest_plugin.description import BenchError, find_channel
 
 CALLS = ("start", "read", "write")
 
@@ -43,15 +42,15 @@ class Faults:
         `call` is "start", "read" or "write"; `after` is the number of calls that succeed before the failing call. The
         task continues as with hardware: before a read that fails with -200279, the buffer overflows, and later reads
         fail too if time passes before them, until the task is started again; -200361 ends the acquisition. Raises
-        `SceneError` for an unknown call, an unknown code, or a negative number of calls.
+        `BenchError` for an unknown call, an unknown code, or a negative number of calls.
         """
         if call not in CALLS:
-            raise SceneError(f"there is no call {call!r}. Choose {', '.join(CALLS)}.")
+            raise BenchError(f"there is no call {call!r}. Choose {', '.join(CALLS)}.")
         if code not in list(Code):
             hint = f"Give {-code}." if -code in list(Code) else "Choose a code of nidaqmx.error_codes.DAQmxErrors."
-            raise SceneError(f"the driver has no error {code}. {hint}")
+            raise BenchError(f"the driver has no error {code}. {hint}")
         if after < 0:
-            raise SceneError(f"after is {after}. Give 0 for the next call, or a positive number of calls.")
+            raise BenchError(f"after is {after}. Give 0 for the next call, or a positive number of calls.")
         self._future.append(_FutureError(call, code, after))
 
     def _on_call(self, call: str, task: Task) -> None:
@@ -112,7 +111,7 @@ class Faults:
         selected = [module for module in unplugged if name in ("", module.name.lower(), module.chassis.lower())]
         if name and not selected:
             names = ", ".join(module.name for module in unplugged) or "none"
-            raise SceneError(f"{device} is not unplugged. Give one of {names}.")
+            raise BenchError(f"{device} is not unplugged. Give one of {names}.")
         with self._chassis.changed:
             # A module is connected through its chassis.
             connected = {name for module in selected for name in (module.name, module.chassis)}
@@ -135,7 +134,7 @@ class Faults:
         try:
             return self._chassis.devices.module(name)
         except DaqError as error:
-            raise SceneError(str(error)) from None
+            raise BenchError(str(error)) from None
 
 
 def _unplugged_error(name: str) -> DaqError:

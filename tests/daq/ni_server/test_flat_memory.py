@@ -1,6 +1,7 @@
 """The server stores nothing of tasks and connections that clients have closed."""
 
 import gc
+from itertools import pairwise
 
 import nidaqmx
 from nidaqmx.constants import AcquisitionType
@@ -32,9 +33,10 @@ def count_objects():
 
 def test_closed_connections_leave_no_objects():
     with daq.connect("bare-structure", clock="fast") as rig:
-        for _ in range(TASKS):
-            acquire(rig)
-        before = count_objects()
-        for _ in range(TASKS):
-            acquire(rig)
-        assert count_objects() - before < TASKS
+        counts = []
+        for _ in range(4):
+            for _ in range(TASKS):
+                acquire(rig)
+            counts.append(count_objects())
+    # A leak adds objects in each round; the server's pool of threads grows in some rounds only.
+    assert min(later - earlier for earlier, later in pairwise(counts)) < TASKS

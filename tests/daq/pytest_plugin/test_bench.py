@@ -14,6 +14,7 @@ import rig
 from daq.extras.ni_device.errors import DaqError
 from daq.extras.pytest_plugin import transfers
 from daq.extras.pytest_plugin.bench import open_bench
+from daq.extras.pytest_plugin.description import BenchError
 from rig.core.base.errors import RecordingError, SceneError
 from tests.daq.client import raises_code
 
@@ -145,6 +146,44 @@ def test_timeout_of_wait_is_bench_time(open_with_waits):
         assert bench.elapsed - begin == pytest.approx(2.0123, abs=1e-4)
 
 
+@pytest.mark.parametrize("pause_s", [0.0, 0.05])
+def test_reading_thread_keeps_pace_with_sleep(open_with_waits, pause_s):
+    bench, counts, has_ended = open_with_waits(TWO_MODULES), [], threading.Event()
+    with continuous(bench, samps_per_chan=10_000) as task:
+
+        def read_blocks():
+            while not has_ended.is_set():
+                counts.append(len(task.read(512)))
+                bench.sleep(pause_s)
+
+        thread = threading.Thread(target=read_blocks)
+        task.start()
+        thread.start()
+        for _ in range(5):
+            bench.sleep(0.4)
+        has_ended.set()
+        thread.join()
+    # 20 blocks in 2 s; the thread may finish some more before it is stopped.
+    assert 19 <= len(counts) < 40
+
+
+def test_late_thread_does_not_stop_time(open_with_waits):
+    bench, resume = open_with_waits(TWO_MODULES), threading.Event()
+
+    def sleep_and_compute():
+        bench.sleep(0.1)
+        resume.wait()
+
+    with continuous(bench) as task:
+        task.start()
+        thread = threading.Thread(target=sleep_and_compute)
+        thread.start()
+        bench.sleep(1.0)
+        assert bench.elapsed == pytest.approx(1.0, abs=1e-4)
+        resume.set()
+        thread.join()
+
+
 def test_error_of_bench_reaches_waiting_test(open_with_waits):
     def fail_later(times):
         if times[0] > 0.1:
@@ -265,8 +304,33 @@ def test_names_are_those_of_description(open_for_test):
     ],
 )
 def test_invalid_bench_is_reported(bench, settings, message):
-    with pytest.raises(SceneError, match=message):
+    with pytest.raises(SceneError, match=message) as caught:
         open_bench(bench, **settings)
+    assert isinstance(caught.value, BenchError) or bench in ("missing.yaml", 42)
+
+
+def test_mistyped_key_in_file_is_named(tmp_path):
+    (tmp_path / "bench.yaml").write_text("module: [NI 9234]")
+    with pytest.raises(BenchError, match=r"bench.yaml: module: unknown key"):
+        open_bench(tmp_path / "bench.yaml")
+
+
+@pytest.mark.parametrize("device", ["USB-6211", "USB-6001"])
+def test_device_without_analog_trigger_rejects_it(open_for_test, device):
+    bench = open_for_test([device])
+    assert not nidaqmx.system.System.remote(bench.grpc_options).devices["Dev1"].anlg_trig_supported
+    with task_on(bench) as task:
+        task.ai_channels.add_ai_voltage_chan("Dev1/ai0")
+        task.timing.cfg_samp_clk_timing(1000.0, samps_per_chan=10)
+        task.triggers.start_trigger.cfg_anlg_edge_start_trig("Dev1/ai0")
+        with raises_code(-200077, f"{device} has no analog trigger"):
+            task.start()
+
+
+def test_limits_have_no_rounding_errors(open_for_test):
+    with task_on(open_for_test()) as task:
+        channel = task.ai_channels.add_ai_accel_chan("cDAQ1Mod1/ai0")
+        assert (channel.ai_min, channel.ai_max) == (-5.0, 5.0)
 
 
 def test_failing_source_is_reported(open_for_test):
@@ -298,7 +362,7 @@ def test_saved_task_is_loaded(open_for_test):
     assert sorted(saved.task_names) == ["drive", "finite"]
     with saved["finite"].load() as task:
         assert np.shape(task.read(nidaqmx.constants.READ_ALL_AVAILABLE)) == (2, 100)
-    with pytest.raises(SceneError, match=r"tasks\.wrong: there is no device 'Dev1'"):
+    with pytest.raises(BenchError, match=r"tasks\.wrong: there is no device 'Dev1'"):
         open_bench({"modules": ["NI 9234"], "tasks": {"wrong": {"channels": "Dev1/ai0"}}})
 
 
@@ -582,7 +646,7 @@ def test_call_fails_once_after_successful_calls(open_for_test):
             task.read(10)
         task.read(10)
         assert task.in_stream.total_samp_per_chan_acquired == 30
-    with pytest.raises(SceneError, match="there is no call 'reads'"):
+    with pytest.raises(BenchError, match="there is no call 'reads'"):
         bench.faults.fail("reads", -200284)
 
 
@@ -663,7 +727,7 @@ def test_reserved_device_is_released(open_for_test):
             task.start()
         bench.faults.release("cDAQ1Mod1")
         task.start()
-        with pytest.raises(SceneError, match="there is no device 'cDAQ2Mod1'"):
+        with pytest.raises(BenchError, match="there is no device 'cDAQ2Mod1'"):
             bench.faults.reserve("cDAQ2Mod1")
 
 
@@ -676,7 +740,7 @@ def test_reserved_device_is_released(open_for_test):
     ],
 )
 def test_impossible_fault_is_rejected(open_for_test, arguments, message):
-    with pytest.raises(SceneError, match=message):
+    with pytest.raises(BenchError, match=message):
         open_for_test().faults.fail(*arguments)
 
 
@@ -715,7 +779,7 @@ def test_one_device_is_plugged_in(open_for_test):
         bench.faults.unplug(device)
     bench.faults.plug_in("cDAQ1Mod1")
     assert nidaqmx.system.System.remote(bench.grpc_options).devices.device_names == ["cDAQ1", "cDAQ1Mod1"]
-    with pytest.raises(SceneError, match=r"Mod1 is not unplugged. Give one of cDAQ1Mod2"):
+    with pytest.raises(BenchError, match=r"Mod1 is not unplugged. Give one of cDAQ1Mod2"):
         bench.faults.plug_in("cDAQ1Mod1")
 
 

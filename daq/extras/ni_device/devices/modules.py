@@ -68,6 +68,7 @@ class Module:
     supply_coupling: Literal["AC", "any"] = "any"  # coupling that the IEPE supply requires
     on_demand: bool = True  # inputs can be read without a sample clock; delta-sigma modules require a clock
     output_on_demand: bool = True  # outputs can be written without a sample clock
+    analog_trigger: bool = True  # an analog input can be the source of a trigger
     teds: bool = True  # reads the electronic data sheets of sensors
     # Highest total rate of inputs that share a converter, S/s; None: all inputs are sampled at the same time.
     aggregate_rate: float | None = None
@@ -184,7 +185,7 @@ class Module:
             "accessory_product_types": [],
             "accessory_product_nums": [],
             "accessory_serial_nums": [],
-            "anlg_trig_supported": bool(self.inputs),
+            "anlg_trig_supported": bool(self.inputs) and self.analog_trigger,
             "dig_trig_supported": True,
             "time_trig_supported": False,
             "tcpip_ethernet_ip": "",
@@ -245,7 +246,7 @@ class DeviceList:
         if all_channels is not None and ASSIGNED_BY_DRIVER.fullmatch(device_name):
             return replace(all_channels, name=device_name)
         raise DaqError(
-            f"there is no device {name!r}: the bench has {', '.join(self.names)}. Give one of these"
+            f"there is no device {device_name!r}: the bench has {', '.join(self.names)}. Give one of these"
             + (", or a name like Dev1, cDAQ1Mod1, PXI1Slot2." if all_channels else "."),
             Code.INVALID_DEVICE_ID,
         )

@@ -266,7 +266,8 @@ def _limit(channel: Channel, sign: float) -> float:
     """Return the upper (sign 1) or lower (sign -1) limit of an input, in the unit of its readings."""
     if channel.has_custom_scale or channel.range == math.inf:
         return float(channel.settings["ai_max" if sign > 0 else "ai_min"])
-    return sign * channel.range / channel.volts_per_unit
+    # The digits beyond 15 are rounding errors of the conversion of units.
+    return float(f"{sign * channel.range / channel.volts_per_unit:.15g}")
 
 
 def _supply_current(channel: Channel) -> float:

@@ -21,6 +21,7 @@ from analysis.commands.presentation.outputs import (
 )
 from analysis.commands.presentation.theory import TheoreticalModes
 from analysis.core.modal.identification import identify
+from analysis.core.modal.mode_warnings import extrapolates_damping
 from analysis.core.modal.modes import Modes, mac
 from analysis.core.modal.roving_hammer import exchange_points
 from analysis.core.recordings.names import OpenRecordings, full_test_text, relabel, validity_texts, with_recordings
@@ -114,7 +115,7 @@ def present_modes(
             files += save_figure(modes_figure(frfs, modes, title, remarks), stem)
             unlike = theory is not None and not _has_near_frequency(modes, theory)
             theory = None if unlike else theory
-            lines += [*describe_modes(modes, theory), *(f"  {text}" for text in missing_tolerances(frfs))]
+            lines += [*describe_modes(modes, theory, frfs), *(f"  {text}" for text in missing_tolerances(frfs))]
             if unlike:
                 lines.append("  shapes are not compared with the scene, which has no natural frequency near a mode")
             notes = [*modes.warnings, *theory_warnings(modes, theory)]
@@ -142,13 +143,18 @@ def _sweeps(
     return [_Sweep(relabel(response, rec.scene.name, label), rec) for response in responses]
 
 
-def describe_modes(modes: Modes, theory: TheoreticalModes | None = None) -> list[str]:
-    """Return a table of natural frequency, damping ratio, shape, and MAC with the scene (`theory`) of each mode."""
+def describe_modes(modes: Modes, theory: TheoreticalModes | None = None, frfs: Sequence[Response] = ()) -> list[str]:
+    """Return a table of natural frequency, damping ratio, shape, and MAC with the scene (`theory`) of each mode.
+
+    `frfs`: responses of the modes, whose lines may not resolve the peak of a mode.
+    """
     count = modes.frequency.size
     mac_texts = [] if theory is None else [f"{mac_value:.4f}" for mac_value in nearest_mac(modes, theory)]
     reference = f", {modes.input}" if modes.input else ""
     heading = f"{modes.label}{reference}: {count} mode{'s' * (count != 1)}{modes.uncertain_count_text()}"
-    return [heading, *modes.table(mac_texts).lines("  ")]
+    is_extrapolated = extrapolates_damping(modes, frfs).tolist() if frfs else []
+    notes = [", extrapolated" * extrapolated for extrapolated in is_extrapolated]
+    return [heading, *modes.table(mac_texts, notes).lines("  ")]
 
 
 def _has_near_frequency(modes: Modes, theory: TheoreticalModes) -> bool:

@@ -142,11 +142,13 @@ class Fit(Result):
         by_key = {value.key: value for value in self.parameters}
         # The mass of a named body is also found by the number of the body.
         names = enumerate(self.scene.structure.names or (), 1)
-        named_key = {f"structure.masses[{number}]": f"structure.masses.{name}" for number, name in names}.get(key, key)
-        if named_key not in by_key:
-            hint = suggestion(key, by_key, f"Give one of {', '.join(by_key)}.")
-            raise SceneError(f"no value {key!r} in the fit. {hint}")
-        return by_key[named_key]
+        numbered = {f"structure.masses[{number}]": f"structure.masses.{name}" for number, name in names}
+        by_key |= {number: by_key[name] for number, name in numbered.items() if name in by_key}
+        if key not in by_key:
+            items = [known for known in by_key if "[" in key and known.startswith(key.partition("[")[0] + "[")]
+            listed = f"Give one of {', '.join(items or by_key)}."
+            raise SceneError(f"no value {key!r} in the fit. {listed if items else suggestion(key, by_key, listed)}")
+        return by_key[key]
 
     def summary(self) -> str:
         """Return one line: whether the scene fits, and how many values are determined."""

@@ -184,17 +184,21 @@ class Modes(Result):
         """Write natural frequency [Hz] and damping ratio, %, without their units, for a table."""
         return _cells(self.frequency[mode], self.frequency_std[mode], self.damping_text(mode))
 
-    def table(self, mac_texts: Sequence[str] = ()) -> Table:
+    def table(self, mac_texts: Sequence[str] = (), damping_notes: Sequence[str] = ()) -> Table:
         """Return frequency, damping ratio and shape of each mode, then the uncertain modes with their reasons.
 
-        `mac_texts`: similarity with shapes of the scene.
+        `mac_texts`: similarity with shapes of the scene; `damping_notes`: text after each damping ratio.
         """
         bodies = self.of_bodies()
         shapes = zip(bodies.shapes.T.real, expand(bodies.errors).T, strict=True)
+        empty = [""] * self.frequency.size
         rows = [
-            (*self.cells(k), mac_text, *map(format_interval, *shape), "")
-            for k, (mac_text, shape) in enumerate(zip(mac_texts or [""] * self.frequency.size, shapes, strict=True))
-        ]
+            (frequency, damping + note, mac_text, *map(format_interval, *shape), "")
+            for (frequency, damping), note, mac_text, shape in zip(
+                map(self.cells, range(self.frequency.size)), damping_notes or empty, mac_texts or empty, shapes,
+                strict=True,
+            )
+        ]  # fmt: skip
         rows += [(*each.cells(), "", *[""] * len(bodies.names), each.reason) for each in self.uncertain]
         places = (f"at {name}" for name in bodies.names)
         heading = ("frequency / Hz", "damping ratio / %", "MAC with scene", *places, "uncertain because")

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from analysis.core.responses.errors.budget import Quotient
 from analysis.core.responses.errors.random_errors import MeanErrors, SharedErrors
-from analysis.core.responses.errors.ringing import hidden_transient, ringing
+from analysis.core.responses.errors.ringing import hidden_transient, poles_near_lines, ringing
 from analysis.core.responses.errors.scatter import Scatter, moderate
 from analysis.core.responses.errors.systematic import RESOLUTION, UNSETTLED
 from analysis.core.responses.measurands import Measurand, reject_zero_reference
@@ -113,11 +113,12 @@ class Lines:
                 limits[name] = np.sum(abs(weights) * bound, axis=0)
                 reference_limits.append(np.sum(abs(reference_weights / f) * bound, axis=0))
         if self.timing is not None:
-            free_vibration = ringing(value, self.frequency, *self.timing, error)
+            near = poles_near_lines(value, self.frequency, error)
+            free_vibration = ringing(value, self.frequency, near, *self.timing)
             limits[UNSETTLED] = np.maximum(limits.get(UNSETTLED, 0.0), free_vibration)
             if self.accepted_transient:
                 limits[UNSETTLED] += hidden_transient(
-                    value, self.frequency, self.timing[1], error, self.accepted_transient
+                    value, self.frequency, near, self.timing[1], error, self.accepted_transient
                 )
         with np.errstate(invalid="ignore", divide="ignore"):
             averages = 1.0 + scatter.degrees_of_freedom / 2.0

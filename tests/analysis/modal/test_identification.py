@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 
 import analysis
 import daq
+from analysis.commands.presentation.mode_findings import describe_modes
 from analysis.core.modal.modal_fit import fit_modes
 from analysis.core.modal.pole_errors import LEAKAGE_FACTOR, pole_errors
 from analysis.core.modal_models.order_selection import computational_poles
@@ -95,8 +96,9 @@ def test_mode_errors_agree_with_stated_uncertainty(tmp_path):
 def test_few_points_in_peak_warn_of_extrapolated_damping(tmp_path):
     with daq.open(synthetic.stepped_sine(tmp_path / "a.mcap", np.linspace(8.0, 60.0, 60))) as rec:
         [curves] = analysis.frequency_responses(rec)
-        warnings = " ".join(analysis.identify(curves).warnings)
-    assert "extrapolated from the flanks" in warnings
+        modes = analysis.identify(curves)
+    assert "extrapolated from the flanks" in " ".join(modes.warnings)
+    assert ", extrapolated" in describe_modes(modes, frfs=curves)[2]
 
 
 def test_too_few_points_are_rejected(tmp_path):

@@ -13,7 +13,7 @@ structure affects all outputs, and is not reported.
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple, Self
+from typing import NamedTuple, Self
 
 import numpy as np
 import scipy
@@ -134,12 +134,12 @@ def change_warnings(rec: Recording, parts: Parts, channels: Sequence[str]) -> li
     if len(clean) < max(_MIN_PERIODS, len(inputs) + 1):
         return []
     x, y = spectra[:, : len(inputs)], spectra[:, len(inputs) :]
-    test = frequency, clean, rec.rate, parts.is_steady
-    compared = _Compared.of(inputs, x, outputs, y, *test)
+    test = _Test(frequency, clean, rec.rate, parts.is_steady)
+    compared = _Compared.of(inputs, x, outputs, y, test)
     delays = compared.delay_changes()
     if 1 < len(inputs) <= len(outputs):
         # The responses determine the inputs; a late input differs from the other inputs.
-        exchanged = _Compared.of(outputs, _components(y, len(inputs)), inputs, x, *test)
+        exchanged = _Compared.of(outputs, _components(y, len(inputs)), inputs, x, test)
         delays = _select(delays, exchanged.delay_changes())
     warnings = [describe_delay(delay.channel, delay.change, delay.time, delay.reference) for delay in delays]
     # The delay of an input, or of a channel that may be an input, changes the relative gains of all outputs.
@@ -230,6 +230,15 @@ def _components(outputs: ComplexArray, count: int) -> ComplexArray:
     return np.moveaxis(spectra @ directions.conj().swapaxes(1, 2), 0, 2)
 
 
+class _Test(NamedTuple):
+    """Lines and parts of the compared spectra."""
+
+    frequency: Array  # Hz
+    starts: Sequence[int]  # first sample of each part
+    rate: float  # Hz
+    is_steady: bool
+
+
 @dataclass(frozen=True)
 class _Compared:
     """Spectra of the inputs, of the outputs and of their predictions, shape (lines, parts, channels)."""
@@ -240,10 +249,7 @@ class _Compared:
     measured: ComplexArray
     predicted: ComplexArray
     freedom: float  # degrees of freedom of the deviations, relative to the number of parts
-    frequency: Array  # Hz
-    starts: Sequence[int]  # first sample of each part
-    rate: float  # Hz
-    is_steady: bool
+    test: _Test
 
     @classmethod
     def of(
@@ -252,16 +258,16 @@ class _Compared:
         inputs: ComplexArray,
         outputs: Sequence[str],
         measured: ComplexArray,
-        frequency: Array,
-        *test: Any,
+        test: _Test,
     ) -> Self:
-        """Predict outputs from inputs; spectra of shape (parts, channels, lines); `test`: the last three fields."""
+        """Predict outputs from inputs; spectra of shape (parts, channels, lines)."""
         power = (abs(inputs) ** 2).mean(axis=0).max(axis=0)
         excited = power > _MIN_POWER * power.mean()
         x, y = (np.moveaxis(spectra[:, :, excited], 2, 0) for spectra in (inputs, measured))
         # The prediction is fitted to the noisy parts, which reduces the scatter.
         freedom = max(1.0 - inputs.shape[1] / len(measured), 1e-300)
-        return cls(input_names, outputs, x, y, y, freedom, frequency[excited], *test).predict(slice(None))
+        test = test._replace(frequency=test.frequency[excited])
+        return cls(input_names, outputs, x, y, y, freedom, test).predict(slice(None))
 
     def predict(self, parts: slice) -> Self:
         """Predict the outputs of all parts by the responses of these parts."""
@@ -292,7 +298,7 @@ class _Compared:
         warnings = []
         gains, limits = self.gains()
         for k, name in enumerate(self.outputs):
-            step = _largest_step(gains[k], limits[k], self.is_steady)
+            step = _largest_step(gains[k], limits[k], self.test.is_steady)
             if step is None or abs(step.change) <= MIN_CHANGE * max(abs(step.before), abs(step.after)):
                 continue
             time = self.time(step, gains[k])
@@ -310,10 +316,10 @@ class _Compared:
         """Return the change of each channel whose delay changes."""
         found = list[_Delay]()
         delays, limits = self.delays()
-        min_change = _MIN_PHASE / (2.0 * np.pi * float(self.frequency.max()))
+        min_change = _MIN_PHASE / (2.0 * np.pi * float(self.test.frequency.max()))
         determined = np.flatnonzero(np.isfinite(delays).all(axis=1)).tolist()
         for k in determined:
-            step = _largest_step(delays[k], limits[k], self.is_steady)
+            step = _largest_step(delays[k], limits[k], self.test.is_steady)
             if step is None or abs(step.change) < min_change:
                 continue
             time, refined, errors = self.time(step, delays[k]), delays, limits
@@ -334,10 +340,10 @@ class _Compared:
     def time(self, step: _Step, values: Array) -> str:
         """Describe the instant of a step, which the value of its part shows to a tenth of the distance of two parts."""
         if values.size < _MIN_PARTS_WITHOUT_STEP:
-            return f"{self.starts[step.part] / self.rate:.4g} s"
+            return f"{self.test.starts[step.part] / self.test.rate:.4g} s"
         share = round(float(np.clip((step.after - values[step.part]) / step.change, 0.0, 1.0)), 1)
-        first, last = self.starts[step.part : step.part + 2]
-        return f"{((1.0 - share) * first + share * last) / self.rate:.4g} s"
+        first, last = self.test.starts[step.part : step.part + 2]
+        return f"{((1.0 - share) * first + share * last) / self.test.rate:.4g} s"
 
     def gains(self) -> tuple[Array, Array]:
         """Return gains relative to all parts, and the smallest visible steps, (outputs, parts)."""
@@ -354,8 +360,8 @@ class _Compared:
 
     def delays(self) -> tuple[Array, Array]:
         """Return delays relative to all parts [s], NaN if noise hides a part, and smallest visible steps (as gains)."""
-        y, predicted, highest = self.measured, self.predicted, float(self.frequency.max())
-        omega = 2.0 * np.pi * self.frequency[:, None, None]
+        y, predicted, highest = self.measured, self.predicted, float(self.test.frequency.max())
+        omega = 2.0 * np.pi * self.test.frequency[:, None, None]
         product = predicted.conj() * y
         product = product / np.maximum(abs(product), 1e-300)
         powers = [np.sum(abs(each) ** 2, axis=1, keepdims=True) for each in (predicted, y)]

@@ -6,7 +6,8 @@ response. Around each point, a ratio of two polynomials in frequency is fitted t
 Transactions on Automatic Control 4 (1959) 37-43); the poles of this ratio are the poles of the neighboring resonances.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterable
+from typing import NamedTuple
 
 import numpy as np
 from numpy.polynomial import polynomial
@@ -33,22 +34,32 @@ _ROUNDING_RATIO = 1e-9
 _TRANSITION_RATIO = 0.5
 
 
-def ringing(value: ComplexArray, frequency: Array, wait_s: Array, window_s: Array, error: Array) -> Array:
+class LinePoles(NamedTuple):
+    """A line of a response with poles near it."""
+
+    line: int
+    poles: ComplexArray  # rad/s, (poles,)
+    residues: ComplexArray  # (poles,)
+    noise: float  # error of the fit
+
+
+def ringing(value: ComplexArray, frequency: Array, near: Iterable[LinePoles], wait_s: Array, window_s: Array) -> Array:
     """Compute the maximum error of each point of a response due to ringing.
 
     The initial amplitude c of the free vibration at a pole s is the difference of the pole's contributions to the two
     steady responses. After a wait t (`wait_s`) this vibration shifts the mean over a window of length L (`window_s`) by
-    ``c exp(Re(s) t) |exp(l L) - 1| / |l L|``, with l = s - i w. The points are in the order of measurement; `error`:
-    standard uncertainty of each point. All arrays have the shape (points,).
+    ``c exp(Re(s) t) |exp(l L) - 1| / |l L|``, with l = s - i w. The points are in the order of measurement. `near`:
+    result of `poles_near_lines`. All arrays have the shape (points,).
 
     >>> frequency = np.linspace(18.5, 19.5, 25)
     >>> value = 1.0 / (2j * np.pi * frequency - (-1.0 + 2j * np.pi * 19.0))
-    >>> rings = ringing(value, frequency, np.full(25, 5.0), np.full(25, 1.0), np.zeros(25))
+    >>> near = poles_near_lines(value, frequency, np.zeros(25))
+    >>> rings = ringing(value, frequency, near, np.full(25, 5.0), np.full(25, 1.0))
     >>> float((rings / abs(value))[12].round(4))
     0.0018
     """
     deviation, omega = np.zeros(frequency.size), 2.0 * np.pi * frequency
-    for k, pole, residue, noise in _poles_near_lines(value, omega, error):
+    for k, pole, residue, noise in near:
         distance = 1j * omega[k] - pole
         change = abs(residue) * abs(1.0 / distance - 1.0 / (1j * omega[k - 1] - pole))
         is_significant = change > max(noise, _ROUNDING_RATIO * abs(value[k]))
@@ -60,21 +71,25 @@ def ringing(value: ComplexArray, frequency: Array, wait_s: Array, window_s: Arra
     return deviation
 
 
-def hidden_transient(value: ComplexArray, frequency: Array, window_s: Array, error: Array, accepted: float) -> Array:
+def hidden_transient(
+    value: ComplexArray, frequency: Array, near: Iterable[LinePoles], window_s: Array, error: Array, accepted: float
+) -> Array:
     """Compute the largest error of each point of a response due to a transient that noise hides.
 
     A transient ``c exp(l t)`` shifts the mean over the window by c m, where m is the mean of the exponential. Noise in
     the window limits the standard uncertainty of c, by least squares, to `error` / s, where s is the standard deviation
-    of the exponential. `accepted`: largest relative transient after the wait; other arguments as in `ringing`.
+    of the exponential. `error`: standard uncertainty of each point; `accepted`: largest relative transient after the
+    wait; other arguments as in `ringing`.
 
     >>> frequency = np.linspace(18.5, 19.5, 25)
     >>> value = 1.0 / (2j * np.pi * frequency - (-1.0 + 2j * np.pi * 19.0))
-    >>> hidden = hidden_transient(value, frequency, np.ones(25), np.full(25, 1e-5), 1e-3)
+    >>> near = poles_near_lines(value, frequency, np.full(25, 1e-5))
+    >>> hidden = hidden_transient(value, frequency, near, np.ones(25), np.full(25, 1e-5), 1e-3)
     >>> [round(float(error), 6) for error in hidden[[0, 12]]]
     [2e-05, 7e-05]
     """
     hidden, omega = COVERAGE_FACTOR * error, 2.0 * np.pi * frequency
-    for k, pole, _, _ in _poles_near_lines(value, omega, error):
+    for k, pole, *_ in near:
         exponent = (pole - 1j * omega[k]) * window_s[k]
         mean = abs(np.expm1(exponent) / exponent)
         mean_square = np.expm1(2.0 * exponent.real) / (2.0 * exponent.real)
@@ -83,13 +98,15 @@ def hidden_transient(value: ComplexArray, frequency: Array, window_s: Array, err
     return np.fmin(hidden, accepted * abs(value))
 
 
-def _poles_near_lines(
-    value: ComplexArray, omega: Array, error: Array
-) -> Iterator[tuple[int, ComplexArray, ComplexArray, float]]:
-    """Yield each line with poles near it: its number, the poles [rad/s], their residues, and the error of the fit."""
+def poles_near_lines(value: ComplexArray, frequency: Array, error: Array) -> list[LinePoles]:
+    """Fit the poles near each line of a response; `error`: standard uncertainty of each point.
+
+    Only lines with poles near them are returned. All arrays have the shape (points,), in the order of measurement.
+    """
+    omega, near = 2.0 * np.pi * frequency, list[LinePoles]()
     n_points = _POINTS_TWO_POLES if omega.size >= _POINTS_TWO_POLES else _POINTS_ONE_POLE
     if omega.size < n_points or not np.diff(omega).all():
-        return
+        return near
     for k in range(omega.size):
         first = min(max(k - n_points // 2, 0), omega.size - n_points)
         neighborhood = slice(first, first + n_points)
@@ -103,7 +120,8 @@ def _poles_near_lines(
         is_resolved = abs(omega[k] - omega[max(k - 1, 0)]) < _MAX_SPACING_RATIO * abs(distance)
         relevant = (pole.real < 0.0) & is_near & is_resolved
         if relevant.any():
-            yield k, pole[relevant], residue[relevant], noise
+            near.append(LinePoles(k, pole[relevant], residue[relevant], noise))
+    return near
 
 
 def _local_poles(

@@ -112,7 +112,10 @@ def _draw_energies(axes: Axes, energy: EnergyBalance, lines: Lines, true_loss: n
         draw_energy(positive_loss, color="#a06a00", ls=":", marker="o", label="true loss in impacts")
         plotted.append(1e3 * positive_loss)
     if lines.unsteady is not None and lines.unsteady.any():
-        axes.plot(energy.frequency[lines.unsteady], 1e3 * energy.supplied[lines.unsteady], "x", color="black", ms=6)
+        marked = energy.frequency[lines.unsteady], 1e3 * energy.supplied[lines.unsteady]
+        # With a white edge, crosses are visible on the points.
+        for color, width in (("white", 3.5), ("black", 1.3)):
+            axes.plot(*marked, "x", color=color, ms=8, mew=width, zorder=5)
     log_axis(axes, plotted)
     axes.set_ylabel("energy per period / mJ")
 

@@ -9,7 +9,7 @@ import numpy as np
 from analysis.core.decays.free_decay import Decay
 from analysis.core.decays.modal_decay import ModalDecay
 from rig.core.base.escaping import escape_figure
-from rig.core.base.figure_style import add_caption, add_title, new_figure, set_log_scale
+from rig.core.base.figure_style import add_legend_below, add_title, new_figure, set_log_scale
 from rig.core.base.figure_types import Axes, Figure
 from rig.core.base.palette import CurveStyle, body_style
 from rig.core.results.text import format_decimals
@@ -55,22 +55,20 @@ def decay_figure(decays: Sequence[Decay], title: str, styles: Sequence[CurveStyl
         waveform_axes.set_ylabel("acceleration / (m/s²)")
         waveform_axes.tick_params(labelbottom=False)
         add_title(waveform_axes, title)
-        if waveform_axes.get_legend_handles_labels()[0]:
-            waveform_axes.legend(loc="upper right")
         set_log_scale(envelope_axes.yaxis, 5)
         # At most three decades: below, the envelope is mostly noise.
         envelope_axes.set_ylim(max(0.6 * lowest, 1e-3 * highest), 1.6 * highest)
         envelope_axes.axhline(gravity, color="#777777", lw=0.8, ls=":")
         envelope_axes.set_ylabel("envelope / (m/s²)")
         envelope_axes.set_xlabel("time / s")
-        add_caption(
+        _draw_damping(figure, rows, modes, gravity, styles)
+        add_legend_below(
             figure, "Envelope at each instant: largest acceleration within half a period of the lowest mode on either "
                 "side.",
             "Dashed: square root of the backward-integrated (Schroeder) energy, scaled to the start of the envelope. "
             "Dotted: 1 g.",
             "Bands: 95 % intervals of the damping ratio; triangles: upper ends of those with zero." * bool(modes),
         )  # fmt: skip
-        _draw_damping(figure, rows, modes, gravity, styles)
         return figure
 
 

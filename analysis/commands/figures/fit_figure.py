@@ -4,11 +4,12 @@ import numpy as np
 
 from analysis.core.fitting.fit import Comparison, Fit
 from analysis.core.fitting.predicted import linear_response, scene_of_test
+from analysis.core.recordings.names import line_spacing
 from rig.core.base.arrays import Array
 from rig.core.base.figure_style import add_legend_below, add_title, frequency_axis, log_axis, new_figure
 from rig.core.base.figure_types import Axes, Figure
 from rig.core.base.palette import location_styles
-from rig.core.results import format_number
+from rig.core.results import format_percent
 from rig.core.scene.scene import Scene
 
 # At most this number of sweeps is drawn: more panels would not fit on a page.
@@ -72,12 +73,12 @@ def _draw(curve_axes: Axes, residual_axes: Axes, compared: Comparison, scene: Sc
         curve_axes.plot(drawn, factor * model[k], "-", lw=0.8, color=style.color)
     log_axis(curve_axes, [factor * abs(curves.value), factor * model])
     curve_axes.set_ylabel(f"|x / {curves.reference}| / ({unit})")
-    recording, *level = curves.label.split(", ", 1)
-    test, details = curves.scene.test, [curves.scene.name if is_named else recording, *level]
-    if test is not None:
+    recording, *details = curves.label.split(", ", 1)
+    if (test := curves.scene.test) is not None:
         # With several levels, the label names the level.
         details += [test.title, test.level_text(curves.scene.driven_shaker) if len(test.levels) == 1 else ""]
-    add_title(curve_axes, ", ".join(filter(None, details)))
+        details += [*test.details, line_spacing(curves.frfs[0])]
+    add_title(curve_axes, f"Fit: {curves.scene.name if is_named else recording} ({', '.join(filter(None, details))})")
     residual_axes.axhspan(-1.0, 1.0, color="#555555", alpha=0.12, lw=0)
     residual_axes.axhline(0.0, color="#555555", lw=0.6)
     largest = max(1.5, 0.55 * float(np.nanmax(compared.normalized_residuals, initial=0.0)))
@@ -87,7 +88,7 @@ def _draw(curve_axes: Axes, residual_axes: Axes, compared: Comparison, scene: Sc
     residual_axes.set_ylabel("residual / U")
     omitted = int((~is_fitted).sum())
     omission = f", {omitted} point{'s' if omitted > 1 else ''} omitted" if omitted else ""
-    add_title(residual_axes, f"Residual {format_number(100 * compared.relative)} % of the curve, rms{omission}")
+    add_title(residual_axes, f"Residual {format_percent(compared.relative)} of the curve, rms{omission}")
 
 
 def _model(scene: Scene, compared: Comparison) -> tuple[Array, Array]:

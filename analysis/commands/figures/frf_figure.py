@@ -175,7 +175,7 @@ def _caption(frfs: Sequence[Response], marks: Sequence[PeakMark], has_bars: bool
     if any(MAX_MARKED < frf.frequency.size <= MAX_POINTS and not folds_back(frf.frequency) for frf in frfs):
         sentences.append("Markers: at some of the points.")
     sentences += [text for symbol, text in PEAK_SYMBOLS.items() if symbol in symbols]
-    sentences += ["Labels: frequencies of the peaks, not of the modes."] * bool(symbols - {"undetermined"})
+    sentences += ["Labels: frequencies of the peaks, not of the modes."] * bool(symbols)
     if not all(mark.is_steady for mark in marks):
         sentences.append("In parentheses: steady state not reached.")
     if any(frf.omitted.size for frf in frfs):

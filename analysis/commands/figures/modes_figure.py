@@ -7,7 +7,7 @@ import numpy as np
 
 from analysis.commands.figures.determined_lines import MAX_MARKED, determined_band, is_determined
 from analysis.commands.figures.frf_figure import intervals_text, unstated_tolerances
-from analysis.core.modal.mode_warnings import MAX_LINEAR_RESIDUAL, extrapolates_damping
+from analysis.core.modal.mode_warnings import EXTRAPOLATED_TO, MAX_LINEAR_RESIDUAL, extrapolates_damping
 from analysis.core.modal.modes import Modes
 from rig.core.base.arrays import Array
 from rig.core.base.escaping import escape_figure
@@ -109,8 +109,9 @@ def modes_figure(frfs: Sequence[Response], modes: Modes, title: str, remarks: Se
             notes = ["damping extrapolated"] * bool(is_extrapolated[i])
             notes += [f"stable at {len(stable)} of {len(orders)} orders"] * is_poor
             axes.annotate(
-                "\n".join(notes), (0.02, 0.97), xycoords="axes fraction", va="top", fontsize=7.5, color="#555555"
-            )
+                "\n".join(notes), (0.02, 0.97), xycoords="axes fraction", va="top", fontsize=7.5, color="#555555",
+                bbox={"fc": "white", "ec": "none", "pad": 1.0},
+            )  # fmt: skip
             names = ["ground", *map(escape_figure, bodies.names)] if column == 0 else [""] * (heights.size + 1)
             axes.set_yticks(np.append(0, heights), names)
             axes.set_title(
@@ -121,6 +122,8 @@ def modes_figure(frfs: Sequence[Response], modes: Modes, title: str, remarks: Se
         data = "Points" if is_sparse else "Broad and pale"
         add_legend_below(
             figure, f"{data}: measured. Lines: modal model. ±: {intervals_text(unstated_tolerances(frfs))}.",
-            residual * (modes.model_error > MAX_LINEAR_RESIDUAL), "Shapes: the largest component is +1.", *remarks,
+            residual * (modes.model_error > MAX_LINEAR_RESIDUAL),
+            f"Damping extrapolated: from the flanks {EXTRAPOLATED_TO}." * bool(is_extrapolated.any()),
+            "Shapes: the largest component is +1.", *remarks,
         )  # fmt: skip
         return figure

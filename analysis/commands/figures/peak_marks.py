@@ -14,14 +14,12 @@ from analysis.commands.figures.determined_lines import (
     is_determined,
     is_smooth,
 )
-from analysis.core.damper_motion.comparison import Peak, local_model
+from analysis.core.damper_motion.comparison import Peak, local_model, may_be_higher
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.figure_types import Axes
 from rig.core.results.resonances import Resonance
 from rig.core.results.response import MOTIONS, Response
 
-# Only the highest of the arrows within this relative distance in frequency is drawn: they would hide the curves.
-_ARROW_RANGE = 0.02
 # A peak between points is marked if it exceeds the highest point by this fraction.
 _MIN_PEAK_EXCESS = 0.01
 # A drawn curve contains a peak if it reaches this fraction of the peak's height; the difference is not visible.
@@ -30,14 +28,15 @@ _CONTAINING_RATIO = 0.99
 _MIN_PEAK_COHERENCE = 0.9
 # In a spectrum, peaks at its lines are labeled from this fraction of the highest peak on; lower peaks may be noise.
 _MIN_LABELED = 0.1
-# A peak is marked if it is the highest point within this relative distance in frequency, so labels do not overlap.
+# A peak is marked if it is the highest point within this relative distance in frequency, so labels do not overlap; only
+# the highest of the arrows of all curves within it is drawn.
 _PEAK_RANGE = 0.05
 #: Largest relative difference of the frequencies of one mode in two recordings: dampers shift the frequencies.
 MODE_SHIFT = 0.15
 #: Symbols of marked peaks, with their explanation.
 PEAK_SYMBOLS = {
     "circles": "Circles: peaks of the local model between the points.",
-    "diamonds": "Diamonds: extrapolated peaks, more than 3 dB above the points on either side.",
+    "diamonds": "Diamonds: as circles, but the points do not resolve the peak; it may be higher.",
     "arrows": "Arrows: the peak may be higher.",
 }
 # Width of the label of a peak, relative to the axes.
@@ -48,17 +47,22 @@ _MARKERS = {"circles": "o", "diamonds": "D"}
 # Height of the label of a peak, and its distance from a label beside it [points].
 _LABEL_POINTS = 9.0
 _LABEL_SHIFT = 22.0
-_UNSTEADY_COLOR = "#888888"
 
 
 class PeakMark(NamedTuple):
     """A marked peak of a curve."""
 
-    symbol: str  # key of `PEAK_SYMBOLS`, "points" at a point that needs no symbol, or "undetermined"
+    symbol: str  # key of `PEAK_SYMBOLS`, or "points" at a point that needs no symbol
     frequency: float  # Hz
     height: float  # in the SI unit of the curve
     peak: Peak
     is_steady: bool = True  # whether the highest point is in steady state
+    bound: float = 0.0  # half of the 95 % interval of the height at which an arrow begins
+
+    @property
+    def top(self) -> float:
+        """Upper end of the interval of the height."""
+        return self.height + self.bound
 
 
 def peak_marks(frf: Response, resonances: Iterable[tuple[Resonance, Peak]]) -> list[PeakMark]:
@@ -69,19 +73,17 @@ def peak_marks(frf: Response, resonances: Iterable[tuple[Resonance, Peak]]) -> l
     if frf.resolution > 0.0 or frf.reference != "force" or folds_back(frf.frequency):
         return []
     ordered, smooth, is_known = np.sort(frf.frequency), frf.frequency[is_smooth(frf)], is_determined(frf)
+    expanded = frf.expanded()
     marks: list[PeakMark] = []
     for resonance, peak in resonances:
         line = resonance.line
-        if peak.at_end or frf.frequency[line] not in smooth:
+        if peak.at_end or frf.frequency[line] not in smooth or not is_known[line]:
             continue
         point, line_frequency = float(abs(frf.value[line])), float(frf.frequency[line])
-        if not is_known[line]:
-            marks.append(PeakMark("undetermined", line_frequency, point, peak))
-            continue
         is_steady = frf.unsteady is None or not frf.unsteady[line]
-        may_be_higher = PeakMark("arrows", line_frequency, point, peak, is_steady)
         if not peak.is_determined:
-            marks.append(may_be_higher)
+            bound = float(np.nan_to_num(expanded[line], posinf=0.0))
+            marks.append(PeakMark("arrows", line_frequency, point, peak, is_steady, bound))
             continue
         height = peak.value * (2.0 * np.pi * peak.frequency) ** MOTIONS.index(frf.motion)
         is_near = abs(np.searchsorted(ordered, peak.frequency) - np.searchsorted(ordered, line_frequency)) <= 1
@@ -92,10 +94,11 @@ def peak_marks(frf: Response, resonances: Iterable[tuple[Resonance, Peak]]) -> l
         is_highest = max(height, point) >= np.nanmax(abs(frf.value[is_around]))
         if is_noise or not is_highest:
             continue
-        if is_near and height > (1.0 + _MIN_PEAK_EXCESS) * point:
-            marks.append(PeakMark("diamonds" if peak.is_extrapolated else "circles", peak.frequency, height, peak))
+        is_resolved = not may_be_higher(resonance, peak)
+        if is_resolved and not (is_near and height > (1.0 + _MIN_PEAK_EXCESS) * point):
+            marks.append(PeakMark("points", line_frequency, point, peak, is_steady))
         else:
-            marks.append(may_be_higher._replace(symbol="points") if resonance.is_resolved else may_be_higher)
+            marks.append(PeakMark("circles" if is_resolved else "diamonds", peak.frequency, height, peak, is_steady))
     return marks
 
 
@@ -105,7 +108,7 @@ def without_hidden_arrows(marked: Sequence[Sequence[PeakMark]]) -> list[list[Pea
 
     def is_highest(mark: PeakMark) -> bool:
         return all(
-            other.height <= mark.height or abs(other.frequency / mark.frequency - 1.0) > _ARROW_RANGE for other in marks
+            other.height <= mark.height or abs(other.frequency / mark.frequency - 1.0) > _PEAK_RANGE for other in marks
         )
 
     return [[mark for mark in of_curve if mark.symbol != "arrows" or is_highest(mark)] for of_curve in marked]
@@ -114,14 +117,15 @@ def without_hidden_arrows(marked: Sequence[Sequence[PeakMark]]) -> list[list[Pea
 def draw_marks(marks: Iterable[PeakMark], factor: float, color: str, axes: Axes) -> list[tuple[float, float]]:
     """Draw the marks of a curve; return their heights in the unit of the axis, with the space above them."""
     heights = []
-    for symbol, frequency, height, *_ in marks:
-        heights.append((factor * height, _ARROW_SPACE if symbol == "arrows" else _LABEL_SPACE))
-        if symbol in _MARKERS:
+    for mark in marks:
+        frequency, top = mark.frequency, factor * mark.top
+        heights.append((top, _ARROW_SPACE if mark.symbol == "arrows" else _LABEL_SPACE))
+        if mark.symbol in _MARKERS:
             style: dict[str, Any] = {"mfc": "white", "mec": color, "mew": 1.0, "ms": 4.5, "zorder": 5}
-            axes.plot(frequency, factor * height, _MARKERS[symbol], **style)
-        elif symbol == "arrows":
+            axes.plot(frequency, top, _MARKERS[mark.symbol], **style)
+        elif mark.symbol == "arrows":
             axes.annotate(
-                "", (frequency, factor * height), xytext=(0, 20), textcoords="offset points",
+                "", (frequency, top), xytext=(0, 20), textcoords="offset points",
                 arrowprops={"arrowstyle": "<-", "color": color, "lw": 1.0, "shrinkB": 4}, zorder=5,
             )  # fmt: skip
     return heights
@@ -143,12 +147,9 @@ def label_peaks(marks: Sequence[tuple[PeakMark, str]], frf: Response, axes: Axes
     has_rings = False
     highest_peak = max((mark.height for mark, _ in marks), default=0.0)
     for mark, color in sorted(marks, key=lambda pair: (pair[0].symbol == "points", -pair[0].height)):
-        point = mark.frequency, factor * mark.height
+        point = mark.frequency, factor * mark.top
         near = [group for group in groups if abs(to_axes.transform(point)[0] - group[0]) <= _LABEL_WIDTH]
         is_close = bool(near)
-        if mark.symbol == "undetermined" and any(group[1].symbol == mark.symbol for group in groups):
-            # Strips at the axis mark the other undetermined peaks.
-            continue
         if mark.symbol == "points":
             near += [group for group in groups if abs(mark.frequency / group[1].frequency - 1.0) < MODE_SHIFT]
             if not near and frf.frequency.size > MAX_POINTS and mark.height < _MIN_LABELED * highest_peak:
@@ -159,7 +160,9 @@ def label_peaks(marks: Sequence[tuple[PeakMark, str]], frf: Response, axes: Axes
             near = groups[-1:]
         _, highest, labeled, beside = near[0]
         base = 22 if mark.symbol == "arrows" else 5
-        sides = [side for side in ((1.0, -1.0) if labeled else (1.0,)) if _is_free(axes, point, side, taken, base - 5)]
+        # A label below an arrow would be far from its end.
+        possible = (1.0, -1.0) if labeled and mark.symbol != "arrows" else (1.0,)
+        sides = [side for side in possible if _is_free(axes, point, side, taken, base - 5)]
         is_same = abs(mark.frequency / highest.frequency - 1.0) < MODE_SHIFT
         if color in labeled or not is_same or not (sides or is_close or mark is highest):
             continue
@@ -170,16 +173,16 @@ def label_peaks(marks: Sequence[tuple[PeakMark, str]], frf: Response, axes: Axes
             direction = 1.0 if mark.frequency >= highest.frequency else -1.0
             up = (22 if highest.symbol == "arrows" else 5) + _LABEL_POINTS * beside.count(direction)
             shift = ScaledTranslation(direction * _LABEL_SHIFT / 72.0, up / 72.0, axes.figure.dpi_scale_trans)
-            style = {"xytext": (highest.frequency, factor * highest.height), "textcoords": axes.transData + shift}
+            style = {"xytext": (highest.frequency, factor * highest.top), "textcoords": axes.transData + shift}
             style |= {"ha": "left" if direction > 0.0 else "right", "va": "bottom"}
             style["arrowprops"] = {"arrowstyle": "-", "color": color, "lw": 0.6, "shrinkA": 0, "shrinkB": 3}
             beside.append(direction)
         elif not sides:
             # The label of the highest peak is next to a curve that is above it.
             style |= {"ha": "right", "xytext": (-3.0, offset[1])}
-        text = peak_label(mark) if mark.is_steady else f"({peak_label(mark)})"
+        text = mark.peak.label if mark.is_steady else f"({mark.peak.label})"
         axes.annotate(
-            text, point, fontsize=7.5, color=color if mark.is_steady else _UNSTEADY_COLOR, zorder=5,
+            text, point, fontsize=7.5, color=color, zorder=5,
             path_effects=[withStroke(linewidth=2.0, foreground="white")], **style,
         )  # fmt: skip
         if mark.symbol == "points":
@@ -189,12 +192,6 @@ def label_peaks(marks: Sequence[tuple[PeakMark, str]], frf: Response, axes: Axes
         taken.append((x, y + (1.0 if vertical["va"] == "bottom" else -1.0) * _LABEL_POINTS * axes.figure.dpi / 72.0))
         labeled.append(color)
     return has_rings
-
-
-def peak_label(mark: PeakMark) -> str:
-    """Write the frequency of a marked peak, with more digits if it is interpolated."""
-    digits = 4 if mark.symbol in _MARKERS else 3
-    return "undetermined" if mark.symbol == "undetermined" else f"{mark.frequency:#.{digits}g} Hz"
 
 
 def _is_free(

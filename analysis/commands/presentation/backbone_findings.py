@@ -1,10 +1,7 @@
 """Output of `analysis backbone`: natural frequency and damping ratio against amplitude."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
-
-import numpy as np
 
 from analysis.commands.presentation.figures_of_recordings import present_each
 from analysis.commands.presentation.outputs import CommandOutput
@@ -22,13 +19,8 @@ def present_backbone(recordings: OpenRecordings, paths: Sequence[Path], output: 
 
 
 def _draw(result: Backbone, figure: Figure, axes: Axes) -> None:
-    natural, bound = result.natural_frequency, result.natural_frequency_expanded
-    # Without a sensor on each body, only the excitation frequency is known.
-    is_known = bool(np.isfinite(natural).all())
-    drawn = replace(result, frequency=natural, frequency_expanded=bound) if is_known else result
+    drawn = result.at_natural_frequencies
     drawn.draw(axes)
-    if is_known:
-        axes.set_xlabel("natural frequency / Hz")
     axes.margins(x=0.08, y=0.08)
     amplitudes = result.amplitude, result.amplitude_own, result.amplitude_expanded
     draw_common_error(axes, drawn.frequency, *(1e3 * column for column in amplitudes))

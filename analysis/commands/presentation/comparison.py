@@ -177,19 +177,19 @@ def change_table(changes: Sequence[PeakChange], shown_in: tuple[str, float]) -> 
     rows: list[tuple[str, ...]] = []
     for change in changes:
         before, after = change.height_texts(shown_in[1])
-        cells = change.response, format_decimals(change.mode, 2), before
+        cells = change.response, change.mode_label.removesuffix(" Hz")
         if change.damped.at_end:
-            rows.append((*cells, "none", *[""] * 5))
+            rows.append((*cells, "", "", before, "none", "", "", ""))
             continue
         is_determined = change.baseline.is_determined and change.damped.is_determined
         rows.append((
-            *cells, after, *_format_change(change.decibel, change.decibel_decimals, is_determined),
+            *cells, *_format_change(change.decibel, change.decibel_decimals, is_determined), before, after,
             *_format_change(change.shift, change.shift_decimals),
             f"{100 * change.equivalent_damping:.2g}" * is_determined,
         ))  # fmt: skip
     heading = (
-        "response", "mode / Hz", f"before / ({shown_in[0]})", f"after / ({shown_in[0]})", "change / dB",
-        "95 % interval / dB", "peak shift / Hz", "95 % interval / Hz", "equivalent ζ / %",
+        "response", "mode / Hz", "change / dB", "95 % interval / dB", f"before / ({shown_in[0]})",
+        f"after / ({shown_in[0]})", "peak shift / Hz", "95 % interval / Hz", "equivalent ζ / %",
     )  # fmt: skip
     return Table(heading, "<>>>>>>>>", rows)
 
@@ -198,7 +198,7 @@ def describe_changes(changes: Sequence[PeakChange], shown_in: tuple[str, float])
     """Return a table of the compared peaks, and the ranges in which no peak is left; `shown_in`: see `change_table`."""
     unit, factor = shown_in
     remarks = [
-        f"{change.response}, mode at {format_decimals(change.mode, 2)} Hz: no peak is left between "
+        f"{change.response}, mode at {change.mode_label}: no peak is left between "
         f"{format_decimals(change.damped.lowest_frequency, 2)} and "
         f"{format_decimals(change.damped.highest_frequency, 2)} Hz, where the curve reaches "
         f"{change.height_texts(factor)[1]} {unit}"
@@ -241,8 +241,9 @@ def _uncompared_peaks(
     compared = {(change.response, change.mode) for change in changes}
     curves = [by_name(group) for _, group in measured]
     lines = []
-    bands = list(zip(*peak_bands(modes), strict=True))
-    for name, (mode, low, high) in product([name for name in curves[1] if name in curves[0]], bands):
+    labels = [modes.frequency_label(k) for k in np.argsort(modes.frequency).tolist()]
+    bands = list(zip(labels, *peak_bands(modes), strict=True))
+    for name, (label, mode, low, high) in product([name for name in curves[1] if name in curves[0]], bands):
         if (name, float(mode)) in compared:
             continue
         causes = []
@@ -255,7 +256,7 @@ def _uncompared_peaks(
             elif np.any((curve.omitted > low) & (curve.omitted < high)):
                 causes.append(f"frequencies near this mode were omitted in {path.name} (see the warnings)")
         reason = "; ".join(causes) or "no separate peak in the first recording, or too few points around it"
-        lines.append(f"  {name}, mode at {format_decimals(mode, 2)} Hz: not compared: {reason}")
+        lines.append(f"  {name}, mode at {label}: not compared: {reason}")
     return lines
 
 

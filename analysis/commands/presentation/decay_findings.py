@@ -13,7 +13,7 @@ from analysis.commands.presentation.outputs import (
     with_ending,
     with_recording_name,
 )
-from analysis.core.decays.free_decay import INITIAL_DECAY_DB, Decay, decay
+from analysis.core.decays.free_decay import INITIAL_DECAY_DB, NO_INTERVAL, Decay, decay
 from analysis.core.recordings.names import (
     OpenRecordings,
     baseline_label,
@@ -78,15 +78,16 @@ def describe_decay(decay: Decay) -> list[str]:
     below_text = (
         "does not stay below 1 g within the recording"
         if np.isnan(time_below_gravity)
-        else f"stays below 1 g after {time_below_gravity:.3g} s"
+        else f"stays below 1 g after about {time_below_gravity:.2g} s"
     )
     time_of_6_db = decay.halving
     energy_text = (
         f"does not fall by {-INITIAL_DECAY_DB[1]:.0f} dB within the recording"
         if np.isnan(time_of_6_db)
-        else f"falls by 6 dB in {time_of_6_db:.3g} s (slope from -1 to -11 dB)"
+        else f"falls by 6 dB in about {time_of_6_db:.2g} s (slope from -1 to -11 dB)"
     )
     return [
-        f"{decay.label}, {decay.channel}: acceleration {below_text}; backward-integrated energy {energy_text}",
+        f"{decay.label}, {decay.channel}: acceleration {below_text}; backward-integrated energy {energy_text}; "
+        f"{NO_INTERVAL}",
         *decay.table().lines("  "),
     ]

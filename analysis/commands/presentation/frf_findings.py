@@ -17,7 +17,7 @@ from analysis.commands.presentation.outputs import (
     with_ending,
     with_recording_name,
 )
-from analysis.core.damper_motion.comparison import Peak, is_next_to_omitted, resonance_peaks
+from analysis.core.damper_motion.comparison import Peak, is_next_to_omitted, may_be_higher, resonance_peaks
 from analysis.core.recordings.names import (
     OpenRecordings,
     acquisition_text,
@@ -173,15 +173,14 @@ def _peaks_between_points(frf: Response) -> list[str]:
     if highest is not None and value + scale * highest.interpolation_expanded > point:
         unit, factor = frf.shown_in
         remarks.append(
-            f"the peak between the points, at {highest.frequency:.2f} Hz, is "
-            f"{highest.height_text(factor * scale, unit)}"
+            f"the peak between the points, at {highest.label}, is {highest.height_text(factor * scale, unit)}"
         )
     elif frequency in (frf.frequency.min(), frf.frequency.max()):
         remarks.append(
             f"highest point is at the end of the band, {frequency:.4g} Hz: the peak may be outside. Measure a wider "
             f"band"
         )
-    coarse = [r for r, p, _ in peaks if not p.loading and (r in uncertain or not r.is_resolved)]
+    coarse = [r for r, p, _ in peaks if not p.loading and may_be_higher(r, p)]
     remarks += [
         f"the response jumps near {jump:.4g} Hz, next to its peak: compare sweeps up and down (test.direction: both)"
         for resonance in coarse

@@ -110,7 +110,8 @@ def present_modes(
                 theory = theoretical_modes(rec, modes)
             all_modes.append(modes)
             stem = first if number == 1 else first.with_name(f"{first.name}-{number}")
-            title = f"Modes: {modes.label}{'' if rec is None else f' ({full_test_text(rec)})'}"
+            details = "; ".join(filter(None, ["" if rec is None else full_test_text(rec), modes.input]))
+            title = f"Modes: {modes.label} ({details})" if details else f"Modes: {modes.label}"
             remarks = [] if rec is None else [f"{text[0].upper()}{text[1:]}." for text in validity_texts(rec)]
             files += save_figure(modes_figure(frfs, modes, title, remarks), stem)
             unlike = theory is not None and not _has_near_frequency(modes, theory)

@@ -72,7 +72,7 @@ def _profile_chart(check: ProfileCheck) -> Chart:
     )
 
 
-def _tracking_chart(result: AmplitudeCurve | Backbone) -> Chart:
+def _tracking_chart(result: AmplitudeCurve | Backbone, frequency_name: str) -> Chart:
     """Return a chart of the amplitude against frequency of followed curves or resonances."""
     curves, parts = list[Curve](), result.parts()
     amplitude, bound = 1e3 * result.amplitude, 1e3 * result.amplitude_own
@@ -94,9 +94,9 @@ def _tracking_chart(result: AmplitudeCurve | Backbone) -> Chart:
     marks = [Mark(at, ends.get(at, 1e3 * height), text) for at, height, text in sorted(result.marks())]
     return Chart(
         "Points in the order of the test, with 95 % intervals",
-        "Amplitude against frequency of the controlled tone.",
+        f"Amplitude against {frequency_name}.",
         [Panel(f"amplitude of {result.body}", "mm", curves, 300, limits=limits_with_margin(curves), marks=marks)],
-        x_name="excitation frequency",
+        x_name=frequency_name,
         x_limits=side_limits(frequency),
         notes=notes,
     )
@@ -133,8 +133,11 @@ def control_charts(measurement: Measurement) -> list[Chart]:
     """Return the charts of the controlled motion in a recording; empty for tests without controlled motion."""
     rec = measurement.rec
     if measurement.tracked is not None:
-        charts = [_tracking_chart(measurement.tracked)]
-        return [*charts, _modal_chart(measurement.tracked)] if isinstance(measurement.tracked, Backbone) else charts
+        tracked = measurement.tracked
+        if not isinstance(tracked, Backbone):
+            return [_tracking_chart(tracked, "excitation frequency")]
+        drawn = tracked.at_natural_frequencies
+        return [_tracking_chart(drawn, drawn.frequency_name), _modal_chart(tracked)]
     if measurement.profile is not None:
         return [_profile_chart(measurement.profile)]
     if not measurement.spectra or rec.scene.test is None:

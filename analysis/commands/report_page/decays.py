@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from analysis.commands.figures.decay_figure import frequency_title, group_modes
-from analysis.commands.report_page.charts import REQUIRED, Chart, Curve, Panel
+from analysis.commands.report_page.charts import REQUIRED, Chart, Curve, Mark, Panel
 from analysis.commands.report_page.measurements import Measurement
 from analysis.core.decays.free_decay import Decay
 from analysis.core.decays.modal_decay import ModalDecay
@@ -26,10 +26,12 @@ def decay_charts(measurements: Sequence[Measurement], baseline_name: str) -> lis
     ]
     if not labeled_decays:
         return []
-    envelopes, energies = [], []
+    envelopes, energies, marks = [], [], []
     is_baseline = [label == baseline_name for label, _ in labeled_decays]
     for (label, result), style in zip(labeled_decays, recording_styles(is_baseline), strict=True):
         envelopes.append(Curve(label, result.peak_time, result.peak, style=style))
+        if np.isfinite(result.quiet_from):
+            marks.append(Mark(result.quiet_from, result.gravity, f"{result.quiet_from:.2g} s", style.color))
         step = max(result.time.size // _MAX_POINTS, 1)
         energies.append(Curve(label, result.time[::step], result.energy[::step], style=style))
     channels = ", ".join(dict.fromkeys(result.channel for _, result in labeled_decays))
@@ -40,11 +42,12 @@ def decay_charts(measurements: Sequence[Measurement], baseline_name: str) -> lis
             f"Free decay of {channels}: peaks of the acceleration, and backward-integrated (Schroeder) energy",
             f"Free decay of {channels} over {ends[-1]:.3g} s.",
             [
-                Panel("acceleration peaks", "m/s²", envelopes, height=220, logarithmic=True),
+                Panel("acceleration peaks", "m/s²", envelopes, height=220, logarithmic=True, marks=marks),
                 Panel("energy", "dB", energies, height=160),
             ],
             x_name="time",
             x_unit="s",
+            notes=["Labels: times from which the acceleration stays below 1 g."] * bool(marks),
         )
     ]
     groups = group_modes([result for _, result in labeled_decays])

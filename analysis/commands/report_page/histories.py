@@ -26,6 +26,8 @@ _INTERVALS = 1500
 _MAX_LANES = 8
 # Limits of an axis, relative to the largest value.
 _LANE_MARGIN = 1.05
+# An axis begins at this negative fraction of the largest value if no value is below it.
+_ONE_SIDED = 0.1
 # Maximum number of spectra in a spectrogram; more would not be visible in its width.
 _SPECTRA = 240
 # Spectral lines in each spectrum; more would not be visible in its height.
@@ -55,11 +57,14 @@ def time_histories(rec: Recording, names: Sequence[str]) -> Chart:
         curves = [Curve(names[k], time, scale * rows[k], style=styles[k]) for k in places]
         # A channel would hide the others. Panels of the same unit have the same limits.
         largest = _LANE_MARGIN * scale * float(np.nanmax(abs(rows[places]), initial=0.0)) or 1.0
+        # The force of a hammer has one sign.
+        is_positive = scale * float(np.nanmin(rows[places], initial=0.0)) > -_ONE_SIDED * largest
+        limits = (-_ONE_SIDED * largest if is_positive else -largest, largest)
         lanes = [[curve] for curve in curves] if len(names) <= _MAX_LANES else [curves]
         for lane in lanes:
             quantity = lane[0].label if len(lane) == 1 else rec.channels[selected[0]].quantity
             height = 90 if len(lane) == 1 else 170
-            panels.append(Panel(quantity, shown_unit, lane, height, limits=(-largest, largest)))
+            panels.append(Panel(quantity, shown_unit, lane, height, limits=limits))
     resolution = "every sample" if is_complete else f"largest and smallest value of each of {_INTERVALS} intervals"
     part = f" of {len(names)} of {len(rec.channels)} channels" * (len(names) < len(rec.channels))
     return Chart(

@@ -1,6 +1,6 @@
 """Results of all analyses of the recordings of a report, computed once for its summary, tables and charts."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -95,7 +95,7 @@ class SweepChange(NamedTuple):
     compared: str  # label of the compared sweep
     recording: str  # label of its recording
     change: PeakChange
-    modes: tuple[float, ...] = ()  # natural frequencies of all modes of the baseline [Hz]
+    modes: Mapping[float, str] = {}  # natural frequencies of all modes of the baseline [Hz], and their labels
     shown_in: tuple[str, float] = ("µm/N", 1e6)  # unit of the peaks, and the factor from SI to this unit
     mac: float = 1.0  # modal assurance criterion between the mode and that of the compared sweep; 1 if unknown
 
@@ -312,7 +312,8 @@ def _peak_changes(baseline: Measurement, other: Measurement) -> list[SweepChange
         MeasurementPoints.of(measurement.path, measurement.rec) for measurement in (other, baseline)
     )
     points.comparable_with(baseline_points)
-    same_sensors, modes = points.same_sensors(baseline_points), tuple(before.modes.frequency.tolist())
+    same_sensors = points.same_sensors(baseline_points)
+    modes = {float(frequency): before.modes.frequency_label(k) for k, frequency in enumerate(before.modes.frequency)}
     return [
         SweepChange(
             before.label,

@@ -67,7 +67,7 @@ def write_report(
         return (templates / name).read_text(encoding="utf-8")
 
     texts = {
-        "title": escape_html(title),
+        "title": typeset(title),
         "uplot_css": template("uPlot.min.css"),
         "page_css": template("page.css").replace("$footer", _footer(paths)),
         "uplot": template("uPlot.iife.min.js"),
@@ -192,9 +192,8 @@ def _recording(measurement: Measurement, charts: ChartWriter, is_drawn: bool) ->
     """Write the settings, time histories and spectrograms of a recording; `is_drawn`: also its rig."""
     pictures = "".join(charts.write(chart) for chart in spectrograms(measurement.rec, measurement.drawn))
     return [
-        f"<figure>{rig_drawing(measurement.rec.scene)}</figure>" if is_drawn else "",
         charts.write(time_histories(measurement.rec, measurement.drawn)),
-        settings(measurement),
+        settings(measurement, f"<figure>{rig_drawing(measurement.rec.scene)}</figure>" if is_drawn else ""),
         f'<details class="spectrograms"><summary>Spectrograms</summary>{pictures}</details>' if pictures else "",
     ]
 

@@ -20,11 +20,12 @@ from analysis.commands.report_page.measurements import (
 )
 from analysis.commands.report_page.tables import change_text
 from analysis.core.damper_motion.dampers import Dampers
+from analysis.core.decays.free_decay import NO_INTERVAL
 from analysis.core.modal.mode_warnings import MAX_LINEAR_RESIDUAL
 from analysis.core.recordings.names import validity_texts
 from analysis.core.signals.shock_spectrum import scatter_text
 from daq.core.recording.recorded_test import deviation_unit, shocks_of
-from rig.core.results import format_decimals, format_frequencies, format_limited, format_percent
+from rig.core.results import format_frequencies, format_limited, format_percent
 from rig.core.scene.excitation import FORCE_TOLERANCE
 
 # Maximum number of statements: a reader takes in three; the tables contain the other results.
@@ -138,9 +139,9 @@ def _change_text(changes: Sequence[SweepChange]) -> str:
         f"“{changes[0].compared}” compared with “{changes[0].baseline}”, highest peak of each mode (95 % interval):"
     ]
     compared = {each.change.mode: _change_line(each) for each in _best_determined(changes)}
-    not_compared = "Hz: not compared, because its peak is not inside the common band"
-    for mode in sorted({*compared, *changes[0].modes}):
-        lines.append(compared.get(mode) or f"{format_decimals(mode, 2)} {not_compared}")
+    not_compared = "not compared, because its peak is not inside the common band"
+    labels = {each.change.mode: each.change.mode_label for each in changes} | dict(changes[0].modes)
+    lines += [compared.get(mode) or f"{labels[mode]}: {not_compared}" for mode in sorted(labels)]
     if not any(isfinite(limit) for each in changes for limit in each.change.decibel[1:]):
         lines.append(
             "Measure around the peaks with a smaller frequency spacing, in both directions, without overloads."
@@ -152,7 +153,7 @@ def _change_line(described: SweepChange) -> str:
     """Describe the change of one peak, with its heights if both are known."""
     change, (unit, factor) = described.change, described.shown_in
     differs = f"; mode shapes differ, MAC {described.mac:.2f}" * (described.mac < MIN_SAME_SHAPE_MAC)
-    text = f"{format_decimals(change.mode, 2)} Hz ({change.response}): {change_text(change)}"
+    text = f"{change.mode_label} ({change.response}): {change_text(change)}"
     text += ", not significant" * (change.significance == "no")
     return f"{text}, {' → '.join(change.height_texts(factor))} {unit}{differs}"
 
@@ -235,7 +236,7 @@ def _decay_texts(measurements: Sequence[Measurement]) -> list[str]:
         return []
     channels = ", ".join(dict.fromkeys(result.channel for result in decays.values()))
     names = f": {' → '.join(f'“{label}”' for label in decays)}" if len(decays) > 1 else ""
-    lines = [f"Free decay of {channels} after one impact{names}"]
+    lines = [f"Free decay of {channels}; {NO_INTERVAL}{names}"]
     for name, definition, times in (
         ("below 1 g after", "", [result.quiet_from for result in decays.values()]),
         ("6 dB lower after", " (from the slope between -1 and -11 dB)", [result.halving for result in decays.values()]),

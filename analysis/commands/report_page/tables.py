@@ -68,10 +68,12 @@ def resonances(measurements: Sequence[Measurement], baseline: Measurement) -> st
         ]
     found = (peak for measurement in measurements for sweep in measurement.sweeps for peak in sweep.peaks)
     units = " or ".join(dict.fromkeys(peak[0].shown_in[0] for peak in found if peak is not None)) or "µm/N"
-    heading = ("response with the highest peak", "natural frequency / Hz", "damping ratio / %", f"peak / ({units})")
+    heading = ("response", "natural frequency / Hz", "damping ratio / %", f"peak / ({units})")
     relative = f"; responses to the {', '.join(inputs)}" * (len(inputs) == 1)
     # The top of the page states which errors the intervals do not include.
-    return Table(heading, "<>>>", rows).html(f"Resonances, with 95 % intervals{relative}")
+    return Table(heading, "<>>>", rows).html(
+        f"Resonances, with 95 % intervals{relative}, of which the one with the highest peak is named"
+    )
 
 
 def changes_table(changes: Sequence[SweepChange]) -> str:
@@ -81,7 +83,8 @@ def changes_table(changes: Sequence[SweepChange]) -> str:
         for labels, group in groupby(changes, lambda change: (change.baseline, change.compared))
     )
     return joined.html(
-        "Changes of the resonance peaks. Equivalent ζ: damping ratio of a linear mode with the changed peak"
+        "Changes of the resonance peaks. Equivalent ζ: damping ratio of a linear mode with the changed peak, to within "
+        "the interval of the change"
     )
 
 
@@ -170,8 +173,8 @@ def test_sentence(scene: Scene) -> str:
     return "none" if scene.test is None else scene.test.sentence(scene.driven_shaker)
 
 
-def settings(measurement: Measurement) -> str:
-    """Return the tables of the test settings and of the channels, and the scene file, as HTML."""
+def settings(measurement: Measurement, drawing: str) -> str:
+    """Return the tables of the test settings and of the channels, and the scene file, as HTML; `drawing` of the rig."""
     rec, scene = measurement.rec, measurement.rec.scene
     dampers = "; ".join(_damper_text(damper, scene.structure.label(damper.body)) for damper in scene.dampers)
     facts = [
@@ -204,7 +207,7 @@ def settings(measurement: Measurement) -> str:
     ]
     heading = ["channel", "at", "quantity", "sensitivity", "tolerance", "range", f"gain at {middle:.3g} Hz"]
     return (
-        f'<details><summary>Settings and channels</summary><div class="settings"><table>{facts_html}</table>'
+        f'<details><summary>Settings and channels</summary><div class="settings"><table>{facts_html}</table>{drawing}'
         f"{Table(heading, '<' * len(heading), channels).html('Channels')}</div></details>"
         f"<details><summary>Scene file</summary><pre>{escape_html(scene.to_yaml())}</pre></details>"
     )

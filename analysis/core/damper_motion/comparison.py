@@ -13,7 +13,14 @@ import numpy as np
 
 from analysis.core.modal.modes import Modes
 from rig.core.base.renamed import renamed
-from rig.core.results import format_decimals, format_interval, format_number, format_quantity, round_to_bound
+from rig.core.results import (
+    format_decimals,
+    format_frequency,
+    format_interval,
+    format_number,
+    format_quantity,
+    round_to_bound,
+)
 from rig.core.results.resonances import MIN_LINES, Resonance, find_resonances
 from rig.core.results.response import Response
 from rig.core.results.uncertainty import CLOCK, COVERAGE_FACTOR, SENSITIVITY, SYSTEMATIC, expand
@@ -77,6 +84,12 @@ class Peak:
     def is_extrapolated(self) -> bool:
         """Whether the peak exceeds its highest measured point by more than half-power."""
         return self.value > _HALF_POWER * self.highest_point
+
+    @property
+    def label(self) -> str:
+        """Frequency with the digits of its interval."""
+        ends = self.highest_frequency - self.frequency, self.frequency - self.lowest_frequency
+        return format_frequency(self.frequency, max(ends))
 
     @property
     def expanded(self) -> float:
@@ -289,6 +302,11 @@ def resonance_peaks(frf: Response) -> list[tuple[Resonance, Peak]]:
     return [(resonance, _better(frf, resonance, estimate)) for resonance, estimate in peaks if estimate is not None]
 
 
+def may_be_higher(resonance: Resonance, found: Peak) -> bool:
+    """Return whether a peak may be higher than measured: the points do not determine its height, or not resolve it."""
+    return not (found.is_determined and resonance.is_resolved)
+
+
 def _better(frf: Response, resonance: Resonance, estimate: Peak) -> Peak:
     """Return the interpolated resonance as a peak if its uncertainty is smaller than that of an estimate."""
     # With few lines, dampers may move at the peak although they are at rest at the lines on both sides.
@@ -388,8 +406,14 @@ class PeakChange:
     damped: Peak  # with dampers
     # both peaks without the sensitivity errors, which cancel in the change if the same sensors measured both
     without_sensitivity: tuple[Peak, Peak] | None = None
+    name: str = ""  # of the mode: its natural frequency with the digits of its interval
 
     bare = renamed("bare", "baseline")
+
+    @property
+    def mode_label(self) -> str:
+        """Natural frequency of the mode with the digits of its interval, if that is known."""
+        return self.name or f"{format_decimals(self.mode, 2)} Hz"
 
     @property
     def _compared(self) -> tuple[Peak, Peak]:
@@ -482,13 +506,14 @@ def peak_changes(
     sensors in both recordings, with the same force sensor. The changes are sorted by response, then by frequency.
     """
     frequency, low, high = peak_bands(modes)
-    damping = modes.damping[np.argsort(modes.frequency)]
+    order = np.argsort(modes.frequency)
+    damping, names = modes.damping[order], [modes.frequency_label(k) for k in order.tolist()]
     bare_by_name = by_name(bare)
     changes = []
     for name, curve in by_name(damped).items():
         if name not in bare_by_name:
             continue
-        for f, zeta, band_low, band_high in zip(frequency, damping, low, high, strict=True):
+        for f, text, zeta, band_low, band_high in zip(frequency, names, damping, low, high, strict=True):
             pair = bare_by_name[name], curve
             bare_peak, damped_peak = (peak(response, band_low, band_high) for response in pair)
             if bare_peak is None or damped_peak is None or bare_peak.at_end:
@@ -504,7 +529,7 @@ def peak_changes(
                 assert bare_without is not None
                 assert damped_without is not None
                 without_sensitivity = bare_without, damped_without
-            changes.append(PeakChange(name, float(f), float(zeta), bare_peak, damped_peak, without_sensitivity))
+            changes.append(PeakChange(name, float(f), float(zeta), bare_peak, damped_peak, without_sensitivity, text))
     return changes
 
 

@@ -39,6 +39,8 @@ _MIN_SAMPLES = 256
 # If the energy no longer decays in the last tenth of a record, this tenth counts as noise, provided that it contains at
 # most this fraction of the energy. Otherwise the motion is not a free decay.
 _MAX_FINAL_ENERGY_FRACTION = 0.02
+#: Why times of a decay have no interval.
+NO_INTERVAL = "times without interval, because one impact has no scatter"
 #: Energy levels between which the slope of the initial decay is fitted [dB].
 INITIAL_DECAY_DB = -1.0, -11.0
 # Below this fraction of the initial energy, only rounding errors remain in the backward integral.

@@ -14,6 +14,8 @@ from rig.core.results import format_percent
 from rig.core.results.response import Response
 from rig.core.results.uncertainty import expand
 
+#: Where extrapolated damping is valid.
+EXTRAPOLATED_TO = "to the larger motion of the peak, at which dampers and joints may act that are at rest on the flanks"
 # A larger relative standard uncertainty of a damping ratio causes a warning.
 _MAX_DAMPING_UNCERTAINTY = 0.02
 # Ratio of the resolution to half the half-power width at which leakage raises a damping ratio by the fraction
@@ -113,13 +115,13 @@ def mode_warnings(
         yield (
             f"{_listed(f[undersampled])} Hz: fewer than two measured points lie within a half-power width of "
             f"{_listed(2.0 * half_widths[undersampled], 3)} Hz on either side, so the damping is extrapolated from the "
-            f"flanks. {remedy}"
+            f"flanks {EXTRAPOLATED_TO}. {remedy}"
         )
     uncertain = (zeta_uncertainty > _MAX_DAMPING_UNCERTAINTY * zeta) & ~narrow
     if uncertain.any():
         parts = ", ".join(
-            f"{format_percent(ratio)} at {frequency:.4g} Hz"
-            for ratio, frequency in zip(zeta_uncertainty[uncertain] / zeta[uncertain], f[uncertain], strict=True)
+            f"{format_percent(zeta_uncertainty[k] / zeta[k])} at {modes.frequency_label(k)}"
+            for k in np.flatnonzero(uncertain).tolist()
         )
         yield f"Damping is poorly determined: {parts} (standard uncertainty)."
 

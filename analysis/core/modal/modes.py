@@ -19,10 +19,10 @@ from rig.core.base.renamed import renamed
 from rig.core.results import (
     Result,
     complete_style,
+    format_frequency,
     format_interval,
     format_percent,
     format_quantity,
-    round_to_bound,
 )
 from rig.core.results.response import Response
 from rig.core.results.table import Table
@@ -70,7 +70,7 @@ class UncertainMode(NamedTuple):
 
     def frequency_label(self) -> str:
         """Write the natural frequency for a label, see `Modes.frequency_label`."""
-        return _frequency_label(self.frequency, self.frequency_std)
+        return format_frequency(self.frequency, float(expand(self.frequency_std)))
 
     def damping_text(self) -> str:
         """Write the damping ratio with its expanded uncertainty (95 %), or an upper limit."""
@@ -173,7 +173,7 @@ class Modes(Result):
 
         A label that would be that of two modes has two decimals.
         """
-        labels = [*map(_frequency_label, self.frequency, self.frequency_std)]
+        labels = [*map(format_frequency, self.frequency, expand(self.frequency_std))]
         return labels[mode] if labels.count(labels[mode]) == 1 else f"{self.frequency[mode]:.2f} Hz"
 
     def damping_text(self, mode: int) -> str:
@@ -388,13 +388,6 @@ def _frequency_text(frequency: float, error: float) -> str:
     if np.isnan(error):
         return f"{frequency:.6g} Hz"
     return format_quantity(frequency, float(expand(error)), "Hz")
-
-
-def _frequency_label(frequency: float, error: float) -> str:
-    # The last digit is that of the first significant digit of the interval.
-    smallest = 0.01 * min(frequency, 1.0)
-    bound = float(expand(error))
-    return f"{round_to_bound(frequency, 10.0 * (bound if bound > smallest else smallest))} Hz"
 
 
 def _cells(frequency: float, error: float, damping_text: str) -> tuple[str, str]:

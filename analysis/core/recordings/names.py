@@ -203,16 +203,19 @@ def full_test_text(rec: Recording) -> str:
 
 
 def line_spacing(frf: Response) -> str:
-    """Write the spacing of the lines of a spectrum; empty for unevenly spaced tones.
+    """Write the spacing of lines, or its range for unevenly spaced tones.
 
     >>> line_spacing(Response.curve(np.array([10.0, 10.5, 11.0, 12.5]), np.ones(4, dtype=complex), "a"))
     'Δf 0.5 Hz'
+    >>> line_spacing(Response.curve(np.array([10.0, 10.5, 11.1]), np.ones(3, dtype=complex), "a"))
+    'Δf 0.5 to 0.6 Hz'
     """
     steps = np.diff(np.sort(frf.frequency))
     if not steps.size or steps.min() <= 0.0:
         return ""
     lines = steps / steps.min()
-    return f"Δf {steps.min():.2g} Hz" if np.allclose(lines, np.round(lines), atol=1e-3) else ""
+    largest = "" if np.allclose(lines, np.round(lines), atol=1e-3) else f" to {steps.max():.2g}"
+    return f"Δf {steps.min():.2g}{largest} Hz"
 
 
 def relabel(curve: Labeled, scene: str, label: str) -> Labeled:

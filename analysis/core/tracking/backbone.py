@@ -11,8 +11,8 @@ this shape, weighted with the mass matrix, is the modal coordinate q. Its phase 
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -104,6 +104,19 @@ class Backbone(Result):
         name = "natural frequency" if "natural frequency" in ranges else "excitation frequency"
         return f"{self.label}: {self.level.size} levels, {name} {ranges[name]}"
 
+    @property
+    def at_natural_frequencies(self) -> Self:
+        """Results drawn against natural frequency; unchanged if only the excitation frequency is known."""
+        if not np.isfinite(self.natural_frequency).all():
+            return self
+        return replace(self, frequency=self.natural_frequency, frequency_expanded=self.natural_frequency_expanded)
+
+    @property
+    def frequency_name(self) -> str:
+        """Name of the quantity in `frequency`."""
+        is_natural = np.array_equal(self.frequency, self.natural_frequency)
+        return "natural frequency" if is_natural else "excitation frequency"
+
     def omissions(self) -> list[str]:
         """Return no sentence: each level has one point, and the test ends where it does not reach a level."""
         return []
@@ -177,7 +190,7 @@ class Backbone(Result):
                 level, (frequency, 1e3 * amplitude), (-7 if is_left else 7, 5), textcoords="offset points",
                 fontsize=8, ha="right" if is_left else "left",
             )  # fmt: skip
-        ax.set(xlabel="excitation frequency / Hz", ylabel=f"amplitude of {self.body} / mm")
+        ax.set(xlabel=f"{self.frequency_name} / Hz", ylabel=f"amplitude of {self.body} / mm")
 
 
 @takes_path

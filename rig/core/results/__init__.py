@@ -4,6 +4,7 @@ from rig.core.results.result import Result, complete_style, join_columns, missin
 from rig.core.results.text import (
     format_decimals,
     format_frequencies,
+    format_frequency,
     format_interval,
     format_limited,
     format_number,
@@ -17,6 +18,7 @@ __all__ = [
     "complete_style",
     "format_decimals",
     "format_frequencies",
+    "format_frequency",
     "format_interval",
     "format_limited",
     "format_number",

@@ -13,10 +13,11 @@ from rig.core.results.text import table_lines
 _HYPHEN = re.compile(r"(?<![\w.-])-(?=\d)")
 # Spaces at which a line must not break, such as that between number and unit.
 _NO_BREAK = re.compile(
-    r"(?<=[\d)]) (?=(?:%|[kM]?Hz|[kmµ]?N|dB|g|kg|m?s|[mµ]?m|m?V|µm/N|m/s²|k?N/m|mm/s)(?![\w/]))| (?=±)|(?<=±) "
+    r" (?==)|(?<==) |(?<=\bk) (?=u\b)|(?<=\bFig) (?=\d)"
+    r"|(?<=[\d)]) (?=(?:%|[kM]?Hz|[kmµ]?N|dB|g|kg|m?s|[mµ]?m|m?V|µm/N|m/s²|k?N/m|mm/s)(?![\w/]))| (?=±)|(?<=±) "
     r"|(?<=\d) (?=→)|(?<=→) (?=\d)|(?<=Δf) |(?<=\d) (?=to [+\u2212]?\d)"
     r"|(?<=\d to) (?=[+\u2212]?\d)|(?<=least) (?=\d)|(?<=at) (?=least)|(?<=≥) "
-    r"|(?<=\bat) (?=\d)|(?<=ζ) (?==)|(?<=ζ =) | (?=at [\d.]+ \w+(?: →|$))|(?<=\bbody) (?=\d)"
+    r"|(?<=\bat) (?=\d)| (?=at [\d.]+ \w+(?: →|$))|(?<=\bbody) (?=\d)"
 )
 _CODE = re.compile("`([^`]+)`")
 
@@ -57,9 +58,11 @@ class Table:
         names = {k: typeset(self.heading[k].replace(" / ", " /\u00a0")) for k in filled}
         align = {k: ' class="number"' * (self.alignment[k] == ">") for k in filled}
         head = "".join(f"<th{align[k]}>{names[k]}</th>" for k in filled)
-        body = ""
+        body, is_titled = "", False
         for row in self.rows:
-            if len(row) == 1:
+            # A group is not divided between pages: rows without a first cell, and the row below a subheading.
+            body += "</tbody><tbody>" * bool(body and row[0] and not is_titled)
+            if is_titled := len(row) == 1:
                 body += f'<tr><th class="group" colspan="{len(filled)}">{typeset(row[0])}</th></tr>'
                 continue
             # Cells name their column, so that programs find them in the page.

@@ -65,6 +65,17 @@ def round_to_bound(value: float, expanded: float) -> str:
     return f"{round(value, decimals):.{max(decimals, 0)}f}"
 
 
+def format_frequency(frequency: float, expanded: float) -> str:
+    """Write a frequency for a label: two decimals, or fewer if its expanded uncertainty is larger.
+
+    >>> format_frequency(13.0365, 1e-4), format_frequency(33.63, 0.31), format_frequency(167.0, 17.0)
+    ('13.04 Hz', '33.6 Hz', '170 Hz')
+    """
+    smallest = 0.01 * min(frequency, 1.0)
+    # The last digit is that of the first significant digit of the uncertainty.
+    return f"{round_to_bound(frequency, 10.0 * (expanded if expanded > smallest else smallest))} Hz"
+
+
 def format_interval(value: float, expanded: float) -> str:
     """Write a number with its expanded uncertainty, for a table whose header gives the unit.
 

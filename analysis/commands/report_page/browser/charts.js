@@ -5,7 +5,7 @@
   const LIGHT = { text: "#1b1f24", grid: "#d8dde3", page: "#ffffff" };
   const DARK = { text: "#dfe4ea", grid: "#3d4752", page: "#14181d" };
   // Grays of undetermined curves and of the baseline of a comparison in the data, and on a dark page.
-  const GRAYS = { "#9aa2ab": "#68737f", "#404040": "#f2f4f7" };
+  const GRAYS = { "#9aa2ab": "#98a3af", "#404040": "#f2f4f7" };
   const PRINT_WIDTH = 700; // px: the printable width of A4
   // Printed height of a panel relative to its height on screen: two charts of a tall and three low panels fit on a page.
   const printHeight = (panel) => panel.height * (panel.height < 220 ? 0.57 : 0.64);
@@ -409,7 +409,9 @@
   // One table below the chart: a name for each curve, which hides it, and its value in each panel under the cursor. It
   // covers the caption while it shows values, so that the page does not move.
   function readout(holder, chart, drawn) {
-    const frame = element(holder, "div", "", "legend"), table = element(frame, "table", "", "readout"), head = element(table, "tr");
+    // A panel that is named as its only curve needs no legend.
+    const named = chart.panels.every(({ curves, title, label }) => new Set(curves.map((curve) => curve.label)).size < 2 && (title || label).startsWith(curves[0]?.label ?? ""));
+    const frame = element(holder, "div", "", named ? "legend named" : "legend"), table = element(frame, "table", "", "readout"), head = element(table, "tr");
     const abscissa = element(head, "th");
     const update = [(x) => { abscissa.textContent = `${chart.x.name}: ${x == null ? "–" : `${Number(x.toPrecision(6))} ${chart.x.unit}`}`; }];
     for (const panel of chart.panels) element(head, "td", panel.label);

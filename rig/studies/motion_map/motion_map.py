@@ -42,7 +42,7 @@ MAX_WAIT_DECAY_TIMES = 3.0
 MIN_WAIT_LIMIT_PERIODS = 2000
 #: The limit of the wait is at most this number of periods.
 MAX_WAIT_LIMIT_PERIODS = 20_000
-LEGEND = ("riding", "Type I: lower wall", "Type II: both walls", "Type III: stays at the upper wall", *KINDS[4:])
+LEGEND = ("at rest", "Type I: lower wall", "Type II: both walls", "Type III: stays at the upper wall", *KINDS[4:])
 #: Height and width of the name of a type of motion, relative to the map.
 NAME_SIZE = 1 / 12, 1 / 5
 

@@ -48,7 +48,7 @@ def test_types_follow_in_order_with_force(fig9_map: rig.MotionMap) -> None:
 
 def test_regions_have_the_names_of_their_motions(fig9_map: rig.MotionMap) -> None:
     axes = fig9_map.plot()
-    assert {"riding", "Type III"} <= {text.get_text() for text in axes.texts}
+    assert {"at rest", "Type III"} <= {text.get_text() for text in axes.texts}
 
 
 def test_row_equals_the_frequency_response(fig9_map: rig.MotionMap) -> None:

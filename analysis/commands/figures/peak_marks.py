@@ -36,7 +36,7 @@ MODE_SHIFT = 0.15
 #: Symbols of marked peaks, with their explanation.
 PEAK_SYMBOLS = {
     "circles": "Circles: peaks of the local model between the points.",
-    "diamonds": "Diamonds: as circles, but the points do not resolve the peak; it may be higher.",
+    "diamonds": "Diamonds: peaks of the local model that the points do not resolve; they may be higher.",
     "arrows": "Arrows: the peak may be higher.",
 }
 # Width of the label of a peak, relative to the axes.
@@ -58,6 +58,11 @@ class PeakMark(NamedTuple):
     peak: Peak
     is_steady: bool = True  # whether the highest point is in steady state
     bound: float = 0.0  # half of the 95 % interval of the height at which an arrow begins
+
+    @property
+    def label(self) -> str:
+        """Frequency with the digits of the interval of the peak."""
+        return self.peak.label(self.frequency)
 
     @property
     def top(self) -> float:
@@ -180,7 +185,7 @@ def label_peaks(marks: Sequence[tuple[PeakMark, str]], frf: Response, axes: Axes
         elif not sides:
             # The label of the highest peak is next to a curve that is above it.
             style |= {"ha": "right", "xytext": (-3.0, offset[1])}
-        text = mark.peak.label if mark.is_steady else f"({mark.peak.label})"
+        text = mark.label if mark.is_steady else f"({mark.label})"
         axes.annotate(
             text, point, fontsize=7.5, color=color, zorder=5,
             path_effects=[withStroke(linewidth=2.0, foreground="white")], **style,

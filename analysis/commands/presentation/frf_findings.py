@@ -173,7 +173,8 @@ def _peaks_between_points(frf: Response) -> list[str]:
     if highest is not None and value + scale * highest.interpolation_expanded > point:
         unit, factor = frf.shown_in
         remarks.append(
-            f"the peak between the points, at {highest.label}, is {highest.height_text(factor * scale, unit)}"
+            f"the peak between the points, at {highest.label(highest.frequency)}, is "
+            f"{highest.height_text(factor * scale, unit)}"
         )
     elif frequency in (frf.frequency.min(), frf.frequency.max()):
         remarks.append(

@@ -192,8 +192,9 @@ def _recording(measurement: Measurement, charts: ChartWriter, is_drawn: bool) ->
     """Write the settings, time histories and spectrograms of a recording; `is_drawn`: also its rig."""
     pictures = "".join(charts.write(chart) for chart in spectrograms(measurement.rec, measurement.drawn))
     return [
+        f"<figure>{rig_drawing(measurement.rec.scene)}</figure>" if is_drawn else "",
         charts.write(time_histories(measurement.rec, measurement.drawn)),
-        settings(measurement, f"<figure>{rig_drawing(measurement.rec.scene)}</figure>" if is_drawn else ""),
+        settings(measurement),
         f'<details class="spectrograms"><summary>Spectrograms</summary>{pictures}</details>' if pictures else "",
     ]
 

@@ -129,7 +129,7 @@ def _mode_marks(
             (float(frequency), label, [(frf, peak.value) for frf, peak in peaks])
             for frequency, label, peaks in zip(natural, labels, sweep.found, strict=True)
         ] + [
-            (mark.frequency, f"peak {mark.peak.label}", [(frf, mark.height)])
+            (mark.frequency, f"peak {mark.label}", [(frf, mark.height)])
             for frf, marked in sweep.marked
             for mark in marked
             if mark.symbol in PEAK_SYMBOLS and not (abs(natural / mark.frequency - 1.0) < MODE_SHIFT).any()

@@ -173,8 +173,8 @@ def test_sentence(scene: Scene) -> str:
     return "none" if scene.test is None else scene.test.sentence(scene.driven_shaker)
 
 
-def settings(measurement: Measurement, drawing: str) -> str:
-    """Return the tables of the test settings and of the channels, and the scene file, as HTML; `drawing` of the rig."""
+def settings(measurement: Measurement) -> str:
+    """Return the tables of the test settings and of the channels, and the scene file, as HTML."""
     rec, scene = measurement.rec, measurement.rec.scene
     dampers = "; ".join(_damper_text(damper, scene.structure.label(damper.body)) for damper in scene.dampers)
     facts = [
@@ -207,7 +207,7 @@ def settings(measurement: Measurement, drawing: str) -> str:
     ]
     heading = ["channel", "at", "quantity", "sensitivity", "tolerance", "range", f"gain at {middle:.3g} Hz"]
     return (
-        f'<details><summary>Settings and channels</summary><div class="settings"><table>{facts_html}</table>{drawing}'
+        f'<details><summary>Settings and channels</summary><div class="settings"><table>{facts_html}</table>'
         f"{Table(heading, '<' * len(heading), channels).html('Channels')}</div></details>"
         f"<details><summary>Scene file</summary><pre>{escape_html(scene.to_yaml())}</pre></details>"
     )

@@ -85,11 +85,9 @@ class Peak:
         """Whether the peak exceeds its highest measured point by more than half-power."""
         return self.value > _HALF_POWER * self.highest_point
 
-    @property
-    def label(self) -> str:
-        """Frequency with the digits of its interval."""
-        ends = self.highest_frequency - self.frequency, self.frequency - self.lowest_frequency
-        return format_frequency(self.frequency, max(ends))
+    def label(self, frequency: float) -> str:
+        """Write the frequency [Hz] of the peak or of its highest point with the digits of the interval of the peak."""
+        return format_frequency(frequency, max(self.highest_frequency - frequency, frequency - self.lowest_frequency))
 
     @property
     def expanded(self) -> float:

@@ -322,7 +322,7 @@ def add_legend_below(figure: Figure, *sentences: str) -> None:
 
 
 def _wrapped(figure: Figure, sentences: Sequence[str]) -> str:
-    return _lines(" ".join(sentences), int(_NOTE_CHARACTERS * figure.get_figwidth() / WIDTH_INCH))
+    return _lines(" ".join(filter(None, sentences)), int(_NOTE_CHARACTERS * figure.get_figwidth() / WIDTH_INCH))
 
 
 def _lines(text: str, characters: int) -> str:

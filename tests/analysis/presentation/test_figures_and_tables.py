@@ -423,7 +423,7 @@ def test_compared_peaks_have_labels_in_their_colors():
     ]
     axes = frf_figure(curves, "Compliance", styles=recording_styles([True, False])).axes[0]
     labels = {text.get_text(): text.get_color() for text in axes.texts if text.get_text().endswith(" Hz")}
-    assert labels == {"20.20 Hz": BASELINE, "18.93 Hz": RECORDINGS[0]}
+    assert labels == {"20.20 Hz": BASELINE, "19.00 Hz": RECORDINGS[0]}
 
 
 def test_rough_phase_is_not_drawn():

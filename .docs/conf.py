@@ -9,6 +9,7 @@ from pathlib import Path
 
 import matplotlib
 import typer
+from numpydoc.xref import DEFAULT_LINKS
 from typer.testing import CliRunner
 
 from rig.core.base.figure_style import use_style
@@ -40,10 +41,10 @@ smartquotes = False
 default_role = "py:obj"
 myst_heading_anchors = 3
 numpydoc_show_class_members = False
-# Types that a package exports are links; other words of a type are text.
+# Types that a package exports are links; other words of a type are text, since the documentation of Python is not used.
 numpydoc_xref_param_type = True
 numpydoc_xref_ignore = "all"
-numpydoc_xref_aliases = {
+numpydoc_xref_aliases = {word: word for word in DEFAULT_LINKS} | {
     alias: f"{package}.{name}"
     for package in ("rig", "daq", "analysis")
     for name in import_module(package).__all__

@@ -42,11 +42,12 @@ default_role = "py:obj"
 myst_heading_anchors = 3
 numpydoc_show_class_members = False
 # Types that a package exports are links; other words of a type are text, since the documentation of Python is not used.
+# A name of two packages has its entry in the first of rig, daq and analysis.
 numpydoc_xref_param_type = True
 numpydoc_xref_ignore = "all"
 numpydoc_xref_aliases = {word: word for word in DEFAULT_LINKS} | {
-    alias: f"{package}.{name}"
-    for package in ("rig", "daq", "analysis")
+    alias: f":obj:`{alias} <{package}.{name}>`"
+    for package in ("analysis", "daq", "rig")
     for name in import_module(package).__all__
     if isinstance(getattr(import_module(package), name), type)
     for alias in (name, f"{package}.{name}")

@@ -336,7 +336,7 @@ def _prepare_recordings(*paths: Path) -> None:
 
 
 def _reject_other_suffix(path: Path) -> None:
-    """Raise `RecordingError` for the suffix of any other format, which programs would misinterpret."""
+    """Raise `RecordingError` for the suffix of another format, because programs would misread the recording."""
     if path.suffix.lower() in OTHER_SUFFIXES:
         raise RecordingError(
             f"{path}: a recording is an MCAP file; expected a name such as {path.with_suffix('.mcap')}. To write "

@@ -1,7 +1,7 @@
 """The rig as a source for a library that takes acquisition plug-ins, such as LDAQ.
 
-`VirtualRig` has the three methods that the library calls, and the two attributes that it reads. LDAQ has its own source
-for NI's client, which works unchanged with `daq run` (see the README).
+`VirtualRig` has the three methods that the library calls, and the two attributes that it reads. LDAQ's own source for
+NI's client works unchanged with `daq run` (see the README).
 """
 
 import nidaqmx
@@ -24,7 +24,7 @@ class VirtualRig:
         """Start the acquisition."""
         self.task = nidaqmx.Task(grpc_options=self.bench)
         for number, name in enumerate(self.channel_names):
-            # Input range [V].
+            # Input range [V]; without a range, the input is ideal, and any limit above its voltages is valid.
             limit = min(500.0, self.bench.sensors[number].range or 500.0)
             self.task.ai_channels.add_ai_voltage_chan(f"cDAQ1Mod1/ai{number}", name, min_val=-limit, max_val=limit)
         self.task.timing.cfg_samp_clk_timing(self.sample_rate, sample_mode=AcquisitionType.CONTINUOUS)

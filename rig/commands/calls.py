@@ -74,7 +74,7 @@ def grains(
     cluster: str | None = None,
     progress: CountProgress | None = None,
 ) -> BedResponse:
-    """Compare the steady-state motion of beds as grains with that of beds as one mass each, at each frequency.
+    """Compare the steady-state motion of beds of grains with that of single-mass beds at each frequency.
 
     Parameters
     ----------

@@ -263,7 +263,7 @@ class RigView:
         yield "rig/scale/text", label((x, y, z - 0.006), text, MARK)
 
     def moving_parts(self, motion: RigMotion) -> Iterator[tuple[str, Array, Array | None]]:
-        """Yield entity, translation in drawn meters and scale (None except springs) of moving parts, (instants, 3)."""
+        """Yield entity and translation [m of the drawing] of moving parts, and scale of springs; (instants, 3)."""
         drawn_displacement = motion.displacement * self.exaggeration
         drawn_tables = motion.tables * self.exaggeration
         lower_end = drawn_tables[0] if self.stack.ground else np.zeros(drawn_displacement.shape[1])

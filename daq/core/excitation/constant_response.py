@@ -17,6 +17,7 @@ from daq.core.excitation.station import AbortedTest, Excitation, Station
 from daq.core.excitation.stepped_sine import SteadyTonesProcedure
 from daq.core.excitation.tones.envelope_control import MAX_POLE_TIMES_DEAD_TIME, EnvelopeTone
 from rig.core.base.arrays import Array
+from rig.core.results import format_percent
 from rig.core.scene.excitation import ConstantResponse
 from rig.core.scene.excitation.kind import KindOfTest
 from rig.core.scene.scene import Scene
@@ -42,7 +43,7 @@ class HeldMotion(EnvelopeTone):
         assert quantity is not None
         super().__init__(station, test.order[0], quantity, test.settle)
         self._order, self._level, self.target = test.held_motion[1], 0.0, 0.0
-        # Frequencies [Hz] with the amplifier at its limit, and the largest amplitude there relative to the level.
+        # Frequencies [Hz] with the amplifier at its limit, and the amplitude there relative to the level.
         self.limited: dict[float, float] = {}
         # Open-loop growth rate [1/s] and dead time [s] of each orbit that the control failed to stabilize.
         self.lost: list[tuple[float, float]] = []
@@ -110,10 +111,12 @@ class ConstantResponseProcedure(SteadyTonesProcedure["ConstantResponse"]):
         settled = yield from stepped_sine.excite(station, test, tone)
         messages = []
         if tone.limited:
-            low, high, ratio = min(tone.limited), max(tone.limited), max(tone.limited.values())
+            frequencies, ratios = sorted(tone.limited), sorted(tone.limited.values())
+            parts = " to ".join(dict.fromkeys(format_percent(ratio) for ratio in (ratios[0], ratios[-1])))
+            where = " to ".join(dict.fromkeys(f"{frequency:.4g}" for frequency in (frequencies[0], frequencies[-1])))
             messages.append(
-                f"{test.at} reaches {ratio:.0%} of the level: the amplifier is at its limit from {low:.4g} to "
-                f"{high:.4g} Hz."
+                f"{test.at} reaches only {parts} of the level at {where} Hz: the amplifier is at its limit. Choose a "
+                "lower level, or exclude these frequencies."
             )
         if tone.lost:
             growth, dead_time = max(tone.lost)

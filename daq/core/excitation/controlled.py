@@ -76,7 +76,7 @@ def spring_force(station: Station) -> Controlled:
 
 
 def _sum_of_displacements(station: Station, terms: Mapping[str, float], names: tuple[str, str]) -> Controlled:
-    """Return a weighted sum of displacements; `terms`: factor of each location; `names`: as `_FORCE`."""
+    """Return a weighted sum of displacements; `terms`: factor of each location; `names`: quantity and remedy."""
     # The first channel at each location counts.
     rows = {info.at: row for row, info in reversed([*enumerate(station.channels)]) if info.quantity != "voltage"}
     for place in terms:

@@ -159,6 +159,6 @@ def lock_in(
     return np.asarray((parts[:, ::2] + 1j * parts[:, 1::2]) * np.exp(-1j * np.asarray(phases)))
 
 
-def noise_gain(periods: float, frequency: Array) -> Array:
-    """Return the ratio of amplitude to noise over some periods, for an amplitude and a noise density of 1, sqrt(s)."""
+def snr_gain(periods: float, frequency: Array) -> Array:
+    """Return the signal-to-noise ratio over some periods [sqrt(s)], for unit amplitude and unit noise density."""
     return np.asarray(np.sqrt(periods / frequency / 2.0))

@@ -92,15 +92,18 @@ class Procedure(Generic[TestT]):
             station.mark("measure", begin, end, level=level, settled=True, **fields)
 
     def measured(self, test: TestT, rate: float) -> Iterable[tuple[float, float, dict[str, Any]]]:
-        """Return start and end of each measured interval of an open-loop drive [s] and marker fields; `rate`: Hz."""
+        """Return start and end [s] of each measured interval of an open-loop drive, and its marker's fields.
+
+        `rate`: sample rate [Hz].
+        """
         return [(0.0, test.shortest, {})]
 
     def check(self, test: TestT, scene: Scene, channels: Sequence[ChannelInfo]) -> Iterable[str]:
         """Return lines of text that follow from the scene before the test runs; `channels`: channels of the bench."""
         return ()
 
-    def noise_gain(self, test: TestT, frequency: Array) -> Array | None:
-        """Return the ratio of amplitude to noise of a measurement for a level and a noise density of 1, sqrt(s).
+    def snr_gain(self, test: TestT, frequency: Array) -> Array | None:
+        """Return the signal-to-noise ratio of a measurement [sqrt(s)], for unit level and unit noise density.
 
         The noise density is per sqrt(Hz). `frequency`: frequencies in Hz, in the test or not; shape (n,), like the
         result. None if the ratio is not defined for this kind of test.
@@ -140,7 +143,7 @@ class Procedure(Generic[TestT]):
         return 5
 
     def frequency_at(self, test: TestT, fraction: float) -> float | None:
-        """Return the frequency of the tone at a fraction, 0 to 1, of the measurement [Hz]; None if markers state it."""
+        """Return the frequency of the tone [Hz] when a fraction of the test has passed; None if markers state it."""
         return None
 
     def from_form(self, values: FormValues, test: KindOfTest | None) -> Any:

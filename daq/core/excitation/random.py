@@ -124,8 +124,8 @@ class RandomProcedure(NoiseProcedure["Random"]):
         if clipped:
             station.warn(f"the amplifier's limit clipped {clipped} of {total} drive samples. Lower the level.")
 
-    def noise_gain(self, test: Random, frequency: Array) -> Array:
-        """Return the ratio of the densities of drive and noise, for a level and a noise density of 1."""
+    def snr_gain(self, test: Random, frequency: Array) -> Array:
+        """Return the ratio of the densities of drive and noise [sqrt(s)], for unit level and unit noise density."""
         return np.full(frequency.size, 1.0 / np.sqrt(test.to - test.from_))
 
 

@@ -53,8 +53,8 @@ class SineProcedure(Procedure["Sine"]):
         begin = steady_from if settled else first + total // 2
         station.mark("measure", begin, station.now, frequency=test.frequency, level=level, drive=level, settled=settled)
 
-    def noise_gain(self, test: Sine, frequency: Array) -> Array:
-        """Return the ratio of amplitude to noise over the duration, for a level and a noise density of 1."""
+    def snr_gain(self, test: Sine, frequency: Array) -> Array:
+        """Return the signal-to-noise ratio over the duration [sqrt(s)], for unit level and unit noise density."""
         return np.full(frequency.size, np.sqrt(test.duration / 2.0))
 
 

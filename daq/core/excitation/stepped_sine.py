@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from daq.core.excitation.controlled import controlled
-from daq.core.excitation.lock_in import noise_gain
+from daq.core.excitation.lock_in import snr_gain
 from daq.core.excitation.procedure import FormValues, Procedure
 from daq.core.excitation.station import Excitation, Station
 from daq.core.excitation.tones.steady_tone import SteadyTone, listed
@@ -116,16 +116,16 @@ class SteadyTonesProcedure(Procedure[SteadyT]):
 
     detection = "dwells"
 
-    def noise_gain(self, test: SteadyT, frequency: Array) -> Array:
-        """Return the ratio of amplitude to noise over the measured periods, for a level and a noise density of 1."""
-        return noise_gain(test.measure.periods, frequency)
+    def snr_gain(self, test: SteadyT, frequency: Array) -> Array:
+        """Return the signal-to-noise ratio over the measured periods [sqrt(s)]; see `Procedure.snr_gain`."""
+        return snr_gain(test.measure.periods, frequency)
 
     def waits(self, test: SteadyT, scene: Scene) -> float:
         """Return the expected time of the waits before all measurements [s]."""
         return _tones_of(test) * expected_wait(scene, test.settle.longest)
 
     def from_form(self, values: FormValues, test: KindOfTest | None) -> dict[str, Any]:
-        """Return the settings of the form, and as body of a controlled motion that of the scene's test or body 1."""
+        """Return the settings of the form; a motion is controlled at the body of the scene's test, or at body 1."""
         return {**super().from_form(values, test), "at": getattr(test, "at", "body 1")}
 
     def part(self, test: SteadyT, seconds: float, scene: Scene) -> SteadyT:

@@ -226,8 +226,8 @@ class SweptSineProcedure(SweepProcedure["SweptSine"]):
         station.mark("measure", first, station.now, duration=test.duration, settled=settled, **fields)
         yield tone.end()
 
-    def noise_gain(self, test: SweptSine, frequency: Array) -> Array:
-        """Return the ratio of amplitude to noise while the sweep stays within its resolution bandwidth."""
+    def snr_gain(self, test: SweptSine, frequency: Array) -> Array:
+        """Return the signal-to-noise ratio while the sweep passes its resolution bandwidth [sqrt(s)]."""
         # A sweep of the rate r (Hz/s) stays within its resolution bandwidth sqrt(r) for the time 1 / sqrt(r).
         rate = np.broadcast_to(abs(test.frequency_slope(frequency)), frequency.shape)
         return np.asarray(np.sqrt(1.0 / np.sqrt(rate) / 2.0))

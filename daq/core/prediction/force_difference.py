@@ -47,16 +47,16 @@ def unresolved_force(scene: Scene, system: HybridSystem, channels: Sequence[Chan
     except SceneError:
         return
     force, variance = np.zeros(resonances.size, dtype=complex), np.zeros(resonances.size)
-    noise_gain = procedure_of(test).noise_gain(test, resonances)
+    snr_gain = procedure_of(test).snr_gain(test, resonances)
     channel_settings = {channel.name: channel for channel in scene.channels or ()}
     for place, weight in weights.items():
         displacement, info = states[system.points.index(place)], ends[place]
         settings = channel_settings.get(info.name)
         force += weight * displacement
         variance += (_tolerance(settings) * weight * abs(displacement)) ** 2
-        if noise_gain is not None:
+        if snr_gain is not None:
             noise = noise_density(scene, settings, info, resonances) / omega ** (info.derivative or 0)
-            variance += (2.0 * weight * noise / (min(test.levels) * noise_gain)) ** 2
+            variance += (2.0 * weight * noise / (min(test.levels) * snr_gain)) ** 2
     ratio = np.sqrt(variance) / np.maximum(abs(force), np.finfo(float).tiny)
     is_unresolved = ratio > _MAX_ERROR_RATIO
     if is_unresolved.any():

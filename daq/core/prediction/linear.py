@@ -97,8 +97,8 @@ def lowest_signal_to_noise(scene: Scene, channels: tuple[ChannelInfo, ...]) -> d
     settings = {channel.name: channel for channel in scene.channels or ()}
     if test is None or not frequencies.size or scene.driven is None:
         return {}
-    noise_gain = procedure_of(test).noise_gain(test, frequencies)
-    if noise_gain is None:
+    snr_gain = procedure_of(test).snr_gain(test, frequencies)
+    if snr_gain is None:
         return {}
     try:
         amplitudes = channel_readings(scene, channels, frequencies)
@@ -108,7 +108,7 @@ def lowest_signal_to_noise(scene: Scene, channels: tuple[ChannelInfo, ...]) -> d
     for info, amplitude in zip(channels, amplitudes, strict=True):
         density = noise_density(scene, settings.get(info.name), info, frequencies)
         if density.any() and amplitude.any():
-            ratio = amplitude * min(test.levels) * noise_gain / np.maximum(density, np.finfo(float).tiny)
+            ratio = amplitude * min(test.levels) * snr_gain / np.maximum(density, np.finfo(float).tiny)
             index = int(np.argmin(ratio))
             lowest[info.name] = LowestSignalToNoise(float(ratio[index]), float(frequencies[index]))
     return lowest

@@ -56,7 +56,7 @@ class RehearsalPlan:
 
 
 def affordable_seconds(scene: Scene, cpu_seconds: float = 0.0) -> float:
-    """Return the duration of a test [s] whose rehearsal takes `cpu_seconds` or `_CPU_BUDGET_S`, if longer."""
+    """Return the duration of a test [s] whose rehearsal takes the CPU time `cpu_seconds`, at least `_CPU_BUDGET_S`."""
     system, has_filter = assemble(scene), complete_from_preset(scene.converter).filter is not None
     channels = system.coordinates if scene.channels is None else len(scene.channels)
     states = system.states + system.dampers

@@ -183,8 +183,8 @@ def _assigned(scene: Scene, chosen: ChosenSignal, rate: float, skew: float) -> A
         hint = ", or set converter.range in the scene" if has_full_scale else ""
         expected_unit = describe_channel(scene, channel, rate, skew).unit
         raise ValueError(
-            f"the unit of {signal.name!r} in {signal.file} is not stated. Give it in a channel table, as unit: "
-            f"{expected_unit}, or as unit: 5 V if the number 1 in the file corresponds to 5 V{hint}."
+            f"the unit of {signal.name!r} in {signal.file} is not stated. Give it in a channel table, such as `unit: "
+            f"{expected_unit}`, or `unit: 5 V` if the number 1 in the file represents 5 V{hint}."
         )
     measured, scale = quantity_and_scale(unit)
     is_ideal = channel.accelerometer is None and channel.integrator is None and not channel.measures_force

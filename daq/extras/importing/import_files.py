@@ -249,8 +249,9 @@ def _with_start_delays(assigned: Sequence[AssignedSignal]) -> list[AssignedSigna
             if signal.start_ns and reference_signal.start_ns:
                 delay_s += (signal.start_ns - reference_signal.start_ns) * 1e-9
         if abs(delay_s) * assignment.info.rate > 0.5:
+            order = "after" if delay_s > 0.0 else "before"
             raise RecordingError(
-                f"{assignment.signal.name!r} of {assignment.signal.file} begins {delay_s:.6g} s after "
+                f"{assignment.signal.name!r} of {assignment.signal.file} begins {abs(delay_s):.6g} s {order} "
                 f"{undelayed[0].name!r} of {undelayed[0].file}: their samples are not simultaneous. Import them one "
                 "by one or, if these times are wrong, give delay: 0 s for both in the channel table."
             )

@@ -73,7 +73,9 @@ def read_labview_heading(lines: Sequence[str], where: str) -> LabviewHeading:
             for k in range(count)
         ]
     except ValueError as error:
-        raise RecordingError(f"{where}: its LabVIEW heading cannot be used ({error}). Export it again.") from None
+        raise RecordingError(
+            f"{where}: its LabVIEW heading cannot be used ({error}). Export the signals again."
+        ) from None
     return LabviewHeading(separator, decimal_comma, ends[1] + 2, columns == "One", channels)
 
 
@@ -89,7 +91,7 @@ def _labview_channel(segment: dict[str, list[str]], name: str, position: int, de
         return text.replace(",", ".") if decimal_comma else text
 
     if _LABVIEW_SPECTRUM.search(name):
-        raise ValueError(f"{name!r} is a spectrum, not samples, although the heading states times; export the signal")
+        raise ValueError(f"column {name!r} is a spectrum, not samples")
     interval = stated_value("Delta_X", "0")
     error = _rounding_error(interval)
     rate = rate_of_interval(float(interval), error) if float(interval) else None

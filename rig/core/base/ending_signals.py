@@ -17,7 +17,7 @@ received_signals: list[int] = []
 
 @contextmanager
 def delayed_interrupt() -> Iterator[None]:
-    """Delay an interrupt during the body until the body has ended."""
+    """Delay an interrupt that arrives inside the `with` block until the end of the block."""
     received: list[tuple[int, FrameType | None]] = []
     with handle_interrupts(lambda number, frame: received.append((number, frame))) as previous:
         yield

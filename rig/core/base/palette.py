@@ -65,7 +65,7 @@ def location_style(place: str) -> CurveStyle:
 
 
 def location_styles(places: Sequence[str]) -> list[CurveStyle]:
-    """Return the styles of curves by their locations; an unknown location gets the style of the body of its position.
+    """Return the styles of curves by their locations; at an unknown location, curve n has the style of body n.
 
     Further curves of the same location have other dashes and markers.
 

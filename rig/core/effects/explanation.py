@@ -149,7 +149,7 @@ def motion_effects(scene: Scene) -> Iterable[Effect]:
     system = assemble(scene)
     bodies = scene.structure.bodies
     noun = "body" if bodies == 1 else "bodies"
-    form = "by matrices" if scene.structure.matrices is not None else "on springs"
+    form = "given by matrices" if scene.structure.matrices is not None else "on springs"
     names = "" if scene.structure.names is None else f" ({', '.join(scene.structure.names[:_MAX_LISTED])})"
     detail = f"{bodies} {noun} {form}{names}, {_frequencies_text(structural_model(scene))}, {_damping_text(scene)}"
     yield Effect("motion", "structure", 2 * bodies, detail)
@@ -211,17 +211,17 @@ def _damper_effects(scene: Scene, system: HybridSystem) -> Iterable[Effect]:
         yield Effect(
             "motion", "grains", 9 * spheres.count,
             f"in {body}: {spheres.count} of {1e3 * spheres.settings.diameter:.4g} mm, {1e3 * spheres.mass:.4g} g; "
-            f"position, velocity, angular velocity; step of {1e6 * spheres.longest_step():.3g} us",
+            f"position, velocity and angular velocity of each; time step {1e6 * spheres.longest_step():.3g} µs",
         )  # fmt: skip
     on_springs = structural_model(scene).tuned
     if on_springs:
         texts = "; ".join(_spring_mass_text(mass, scene) for mass in on_springs)
         yield Effect("motion", "masses on springs", 2 * len(on_springs), texts)
-    # Dampers whose particles are modeled as one mass.
     sliding = [j for j, number in enumerate(system.damper_number) if scene.dampers[number - 1].friction is not None]
     if sliding:
         texts = "; ".join(_sliding_mass_text(system, j, scene) for j in sliding)
         yield Effect("motion", "sliding masses", 2 * len(sliding), texts)
+    # Dampers whose particles are modeled as one mass.
     one_mass = ~system.grains & ~np.isin(system.damper_number - 1, [mass.damper for mass in on_springs])
     one_mass[sliding] = False
     if one_mass.any():
@@ -233,11 +233,14 @@ def _damper_effects(scene: Scene, system: HybridSystem) -> Iterable[Effect]:
         )  # fmt: skip
     ceilings = np.isfinite(system.clearance) & one_mass
     if ceilings.any():
-        heights = ", ".join(f"{1e3 * height:.4g} mm" for height in system.clearance[ceilings])
-        yield Effect("motion", "ceilings", 0, f"at {heights}")
+        clearances = ", ".join(f"{1e3 * clearance:.4g} mm" for clearance in system.clearance[ceilings])
+        yield Effect("motion", "ceilings", 0, f"clearance {clearances}")
     if system.restitution.any():
-        ratios = ", ".join(f"{ratio:.3g}" for ratio in system.restitution)
-        yield Effect("motion", "restitution", 0, ratios)
+        ratios = (
+            f"{ratio:.3g} in {scene.structure.label(int(row) + 1)}"
+            for ratio, row in zip(system.restitution, system.damper_coordinate, strict=True)
+        )
+        yield Effect("motion", "restitution", 0, ", ".join(ratios))
     if system.finite_contact[: system.dampers].any():
         yield Effect("motion", "finite-duration contact", 0, "; ".join(_wall_texts(system, scene.structure)))
 

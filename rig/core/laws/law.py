@@ -174,7 +174,7 @@ class Law(NamedTuple):
 
     @property
     def forces(self) -> tuple[Row | None, ...]:
-        """Force of each number in `force_indices`."""
+        """Forces by their numbers in `force_indices`."""
         numbers = self.force_indices
         return tuple({numbers[name]: regime.force for name, regime in self.regimes.items()}.values())
 

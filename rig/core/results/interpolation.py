@@ -93,7 +93,7 @@ def interpolate_curve(
 
 
 def nearest_lines(frequency: Array, at: Array) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
-    """Return the index of the line nearest to each frequency, and whether it has this frequency; lines ascend."""
+    """Return the index of the line nearest to each frequency, and whether they are equal; `frequency`: ascending."""
     above = np.clip(np.searchsorted(frequency, at), min(1, frequency.size - 1), frequency.size - 1)
     below = np.maximum(above - 1, 0)
     nearest = np.where(at - frequency[below] < frequency[above] - at, below, above)
@@ -101,7 +101,7 @@ def nearest_lines(frequency: Array, at: Array) -> tuple[NDArray[np.intp], NDArra
 
 
 def _rational(f: Array, values: ComplexArray, at: Array) -> tuple[ComplexArray, ComplexArray]:
-    """Interpolate rows `f`, `values` (n, 2 k + 1) by rational functions at (n,); return values and error weights."""
+    """Interpolate each row of `values` over `f`, (n, 2 k + 1), at `at`, (n,); return values and error weights."""
     # Every other line is a support point; the remaining lines determine the weights of the barycentric form.
     support, others = np.arange(0, f.shape[1], 2), np.arange(1, f.shape[1], 2)
     scale = abs(values).max(axis=1, keepdims=True)

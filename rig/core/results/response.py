@@ -106,7 +106,7 @@ class Response(ResponseArithmetic, Sequence["Response"]):
         return Table(heading, "<>>><", rows)
 
     def highest_value(self) -> tuple[float, float, str, str, str]:
-        """Return value and bound at the peak line in the shown unit, its frequency, force and largest uncertainty."""
+        """Return value, bound, frequency, force and largest contribution to the uncertainty at the peak line."""
         peak, factor = self.peak_line(), self.shown_in[1]
         bound = factor * float(self.expanded()[peak])
         force = "" if self.amplitude is None or self.reference != "force" else f"{self.amplitude[peak]:.4g}"
@@ -132,7 +132,7 @@ class Response(ResponseArithmetic, Sequence["Response"]):
         magnitude, expanded = float(abs(self.value[line])), float(self.expanded()[line])
         uncertainty = format_percent(expanded / magnitude) if np.isfinite(expanded) else "unbounded"
         return [
-            f"not reported as the peak, because too uncertain: {factor * magnitude:.4g} {unit} at "
+            f"the highest value is too uncertain to be reported as the peak: {factor * magnitude:.4g} {unit} at "
             f"{self.frequency[line]:.4g} Hz (expanded uncertainty {uncertainty}, {self.largest_contributions()[line]})"
         ]
 

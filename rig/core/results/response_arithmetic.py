@@ -132,7 +132,7 @@ class ResponseArithmetic(ResponseValues):
         return result
 
     def _interpolated(self, frequency: Array) -> tuple[Self, Array]:
-        """Return `interpolated`, and the spacing [Hz] that each frequency needs; infinite where lines resolve it."""
+        """Return `interpolated`, and the line spacing needed at each frequency [Hz]; infinite if the lines suffice."""
         ordered = self.sorted()
         lines, is_line = nearest_lines(ordered.frequency, frequency)
         if is_line.all():
@@ -175,10 +175,10 @@ class ResponseArithmetic(ResponseValues):
         return result, np.min(needed, axis=0)
 
     def continued(self, is_shown: NDArray[np.bool_]) -> tuple[Array, ComplexArray]:
-        """Return frequencies and values of the interpolated curve through the lines of an ordered curve, to draw it.
+        """Return frequencies and values of the curve through the lines, which are in ascending order, to draw it.
 
-        `is_shown`: flags of the lines that the curve contains; at other lines its value is NaN. The curve has points
-        between lines only where neighboring values differ, with the value NaN where the lines do not resolve the
+        `is_shown`: flags of the lines that the curve contains; its value is NaN at the other lines. Points are
+        interpolated only where neighboring values differ; their value is NaN where the lines do not resolve the
         response.
         """
         f, value = self.frequency, np.where(is_shown, self.value, np.nan)

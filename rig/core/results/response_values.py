@@ -288,10 +288,10 @@ class ResponseValues(Result):
         return self.at(np.argsort(self.frequency, kind="stable"))
 
     def loading_beyond(self, frequency: Array, magnitude: Array) -> Array:
-        """Return the `loading` at values between the lines of an ordered curve, where a damper starts to move there.
+        """Return the `loading` of interpolated magnitudes at which a damper starts to move, 0 at all others.
 
-        The lines do not determine such a value: it is higher than both neighboring lines, and was interpolated from
-        at least one line of linear motion. Elsewhere 0.
+        The lines, in ascending order, do not determine such a magnitude: it is higher than both neighboring lines, and
+        was interpolated from at least one line of linear motion.
         """
         if self.loading is None:
             return np.zeros(frequency.size)
@@ -407,7 +407,7 @@ def stack(curves: Sequence[ValuesT], n_inputs: int = 1) -> ValuesT:
 
 
 def any_unsteady(curves: Sequence[ResponseValues]) -> NDArray[np.bool_] | None:
-    """Return the lines at which a curve is not steady; None if no curve contains this information."""
+    """Return flags of the lines at which any of the curves is not steady; None if no curve has flags."""
     flags = [curve.unsteady for curve in curves if curve.unsteady is not None]
     return np.any(flags, axis=0) if flags else None
 

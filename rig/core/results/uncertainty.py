@@ -332,7 +332,7 @@ class UncertaintyBudget:
 
 
 def _standard_of_difference(first: UncertaintyBudget, second: UncertaintyBudget) -> Array | None:
-    """Return the standard uncertainty of the difference of two curves from the same readings, otherwise None."""
+    """Return the standard uncertainty of the difference of two curves; None unless they share their readings."""
     joined = None if first.errors is None or second.errors is None else first.errors.joined([second.errors])
     if joined is None or first.scatter is None or second.scatter is None:
         return None

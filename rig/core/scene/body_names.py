@@ -25,7 +25,7 @@ _LOCATION_WITHOUT_NAME = re.compile(r"(body \d+|hammer|(table|shaker|drive)( \d+
 
 
 def check_names(names: Sequence[str], n_bodies: int) -> Iterator[tuple[int | None, str]]:
-    """Yield each problem of the names as index of the name (None: it concerns all names) and message."""
+    """Yield the problems of names: the index of the name (None: all names), and the message."""
     if len(names) != n_bodies:
         yield None, f"got {len(names)} names; expected {n_bodies}, one for each body"
     first: dict[str, int] = {}  # number of the first body of each name

@@ -40,15 +40,18 @@ class Change:
             if not node or indices[0] >= len(node):
                 number = step + 1 if isinstance(step, int) else 1
                 raise SceneError(
-                    f"{self}: item {number} does not exist. The list has {len(node)} items, numbered from 1."
+                    f"{self}: item {number} does not exist. The list has {len(node)} item{'s' * (len(node) != 1)}, "
+                    "numbered from 1."
                 )
             remaining = steps if isinstance(step, str) else remaining
             return [self.apply_to(item, remaining) if k in indices else item for k, item in enumerate(node)]
         if isinstance(step, int):
+            # [1] is allowed: a key that takes one item or a list contains one item.
             if step > 0 or node is None:
                 raise SceneError(f"{self}: the value of this key is not a list. Remove [{step + 1}].")
             return self.apply_to(node, remaining)
         mapping = node if isinstance(node, dict) else {}
+        # Masses may be a mapping from names of bodies, which replaces a list.
         if step == "masses" and remaining and isinstance(mapping.get(step), dict):
             remaining = _use_body_name(remaining, list(mapping[step]))
         if not remaining and self.value is None:
@@ -104,7 +107,7 @@ def parse_options(settings: Iterable[str]) -> list[Change]:
 
 
 def _use_body_name(steps: KeyPath, names: list[str]) -> KeyPath:
-    """Return a key path that begins with the name of a body, such as ("arm",), not with its index, if it has a name."""
+    """Return a key path with the body's name, such as ("arm",), instead of its index."""
     number = steps[0]
     return (names[number], *steps[1:]) if isinstance(number, int) and number < len(names) else steps
 

@@ -151,7 +151,7 @@ def check_frequency(test: Test | None, converter: Converter) -> Iterable[Problem
 def check_named_channels(
     test: Test | None, channels: tuple[Channel, ...] | None, ideal: tuple[str, ...]
 ) -> Iterable[Problem]:
-    """Check that the channels that a test names exist and measure motion; `ideal`: locations without `channels`."""
+    """Check that the channels that a test names exist and measure motion; `ideal`: locations of ideal channels."""
     motion = [place.replace(" ", "") for place in ideal]
     if channels is not None:
         motion = [each.name for each in channels if not (each.measures_force or each.measures_voltage)]

@@ -196,7 +196,8 @@ class Damper(Settings):
             yield Problem(("grains",), "a bed of grains cannot be on a spring. Remove grains, or remove the spring.")
         for key in ("spring", "contact", "grains") if self.friction is not None else ():
             if getattr(self, key) is not None:
-                yield Problem((key,), f"a horizontal damper slides with friction. Remove {key}, or remove friction.")
+                message = f"{key} and friction are given together, but a damper with friction slides horizontally and "
+                yield Problem((key,), f"{message}has no {key}. Remove {key}, or remove friction.")
         if self.grains is not None and self.restitution:
             yield Problem(("restitution",), "restitution and grains are given together. Move restitution into grains.")
         if self.grains is not None and self.contact is not None:

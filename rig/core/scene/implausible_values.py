@@ -103,7 +103,7 @@ def _dampers(scene: Scene, content: Mapping[str, Any]) -> Iterator[Problem]:
 
 
 def _springs(scene: Scene, content: Mapping[str, Any]) -> Iterator[Problem]:
-    """Check the resonance of each body of a chain on its spring."""
+    """Check the natural frequency of each body of a chain on its spring."""
     springs, masses = scene.structure.springs or (), scene.structure.masses or ()
     written_springs = _values_at(content, ("structure", "springs", None))
     written_masses = _values_at(content, ("structure", "masses", None))

@@ -89,7 +89,7 @@ class Matrices(Settings):
             if indices is not None:
                 row, column = indices
                 values = ", ".join(
-                    f"element ({i + 1}, {j + 1}) is {matrix[i, j]:g}" for i, j in ((row, column), (column, row))
+                    f"entry ({i + 1}, {j + 1}) is {matrix[i, j]:g}" for i, j in ((row, column), (column, row))
                 )
                 yield Problem((key,), f"the matrix is not symmetric: {values}; expected a symmetric matrix")
         if not is_positive_definite(mass):
@@ -115,7 +115,7 @@ class Matrices(Settings):
 
 
 def asymmetry(matrix: NDArray[np.float64]) -> tuple[int, int] | None:
-    """Return the indices of the most asymmetric pair of elements of a matrix (n, n), None if it is symmetric."""
+    """Return the indices of the most asymmetric pair of entries of a matrix (n, n); None if it is symmetric."""
     difference = np.abs(matrix - matrix.T)
     row, column = np.unravel_index(int(np.argmax(difference)), matrix.shape)
     if difference[row, column] <= MAX_ASYMMETRY * np.abs(matrix).max():
@@ -124,10 +124,11 @@ def asymmetry(matrix: NDArray[np.float64]) -> tuple[int, int] | None:
 
 
 def is_positive_definite(matrix: NDArray[np.float64]) -> bool:
-    """Return whether a symmetric matrix (n, n) is positive definite beyond rounding, in any units."""
+    """Return whether a symmetric matrix (n, n) is positive definite by more than rounding errors."""
     diagonal = np.diag(matrix)
     if (diagonal <= 0.0).any():
         return False
+    # The scaled matrix has a unit diagonal, so the result does not depend on the units of the coordinates.
     scale = 1.0 / np.sqrt(diagonal)
     scaled = (matrix + matrix.T) / 2.0 * scale[:, None] * scale
     return bool(np.linalg.eigvalsh(scaled)[0] > len(matrix) * np.finfo(float).eps)

@@ -96,7 +96,7 @@ class Structure(Settings):
 
     @classmethod
     def key_path_as_given(cls, key_path: KeyPath, content: Mapping[str, Any]) -> KeyPath:
-        """Return the key path of a mass or name under the body's name, if the masses are given by names."""
+        """Return the key path as written in the scene file: with a body's name if the masses are given by names."""
         masses = content.get("masses")
         if not isinstance(masses, Mapping) or key_path[:1] not in (("masses",), ("names",)) or content.get("names"):
             return key_path

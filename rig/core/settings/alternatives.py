@@ -66,7 +66,7 @@ def _selecting_keys(classes: Classes) -> str:
 
 
 def _own_keys(classes: Classes) -> dict[str, type[Settings]]:
-    """Return the classes by key: the first key of each class that no other class has."""
+    """Map a key to each class: the first of its keys that no other class has."""
     keys = [cls.keys() for cls in classes]
     return {
         next(key for key in own if sum(key in others for others in keys) == 1): cls

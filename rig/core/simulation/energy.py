@@ -74,10 +74,9 @@ class QuadraticForms:
 
 
 def quadratic_forms(system: HybridSystem, output: Array) -> QuadraticForms:
-    """Return stored energy, dissipation, and power of the drive and into beds of grains as quadratic forms.
+    """Return stored energy, dissipated power, power of the drive, and power into grains as quadratic forms.
 
-    `output`: matrix with u = output @ p, which gives the inputs u of the system from the states p of the generator of
-    the drive.
+    `output`: matrix with u = output @ p, for the inputs u of the system and the states p of the drive's generator.
     """
     n, ns = system.coordinates, system.states
     size = ns + output.shape[1]

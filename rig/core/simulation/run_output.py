@@ -66,7 +66,7 @@ def simulate_to_file(
 def summary(run: Run) -> str:
     """Return a summary in a few lines: peaks, events, energy."""
     lines = [f"{run.scene.name}: {run.time[-1]:.6g} s, {len(run.time)} samples", ""]
-    lines.append(f"{'point':10}{'peak m':>12}{'peak m/s':>12}{'peak m/s2':>12}")
+    lines.append(f"{'point':10}{'peak m':>12}{'peak m/s':>12}{'peak m/s²':>12}")
     for row, point in enumerate(run.points):
         peaks = (np.abs(motion[row]).max() for motion in (run.displacement, run.velocity, run.acceleration))
         lines.append(f"{point:10}" + "".join(f"{peak:12.4g}" for peak in peaks))

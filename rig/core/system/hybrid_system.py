@@ -125,7 +125,7 @@ class HybridSystem:
     initial: np.ndarray = field(repr=False)
 
     def __post_init__(self) -> None:
-        """Check that each array has an element for each input and each further state."""
+        """Check that each array has an entry for each input and each further state."""
         expected = {
             "drive_limit": (len(self.inputs),),
             "force_drive": (self.coordinates, len(self.inputs)),
@@ -260,7 +260,10 @@ class HybridSystem:
 
     @property
     def coupled(self) -> bool:
-        """Whether contacts are solved jointly: impacts interact, or a gap of a mass that can rest is a coordinate."""
+        """Whether contacts must be solved jointly.
+
+        An impact affects other bodies or dampers at once, or the gap of an element with a rigid wall is a coordinate.
+        """
         return self.impacts_interact or any(
             element.gap >= 0 and None in element.law.forces for element in self.elements
         )
@@ -276,17 +279,17 @@ class HybridSystem:
 
     @property
     def detached(self) -> NDArray[np.bool_]:
-        """Whether the position of each element is not a coordinate, bool (elements,)."""
+        """Whether each element is detached: its position is not a coordinate; shape (elements,)."""
         return self.gap_coordinate < 0
 
     @property
     def detached_mass(self) -> np.ndarray:
-        """Mass of each damper that is detached, otherwise 0, kg."""
+        """Mass of each detached damper [kg]; 0 for the other dampers."""
         return np.where(self.detached, self.element_mass, 0.0)[: self.dampers]
 
     @property
     def finite_contact(self) -> np.ndarray:
-        """Whether the contact of each element has a duration, bool (elements,)."""
+        """Whether the contacts of each element have a finite duration; shape (elements,)."""
         return np.asarray(self.wall_stiffness.any(axis=1))
 
     @property

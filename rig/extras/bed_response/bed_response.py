@@ -147,14 +147,14 @@ def format_table(response: BedResponse) -> str:
             lines.append(
                 f"{format_decimals(frequency, 4):>9}  {model:6}{largest:11.4g}{motion.floor_impulse[0]:12.4g}"
                 f"{motion.ceiling_impulse[0]:12.4g}{motion.energy[0]:11.4g}{motion.landing[0]:8.1f}°"
-                f"{100 * motion.flight[0]:7.1f}%  {motion.motion_type[0]}{'' if motion.steady else ', unsteady'}"
+                f"{100 * motion.flight[0]:6.1f} %  {motion.motion_type[0]}{'' if motion.steady else ', unsteady'}"
             )
     return "\n".join(
         [
             *lines,
             "m/N: compliance of the body with the largest motion; other columns: first bed, per period of the drive",
             "floor, ceiling: impulse on the bed; loss: energy that the bed dissipates",
-            "landing: mean phase of the floor force after the positive-going zero of the drive; flight: % of time",
+            "landing: phase of the floor force after the upward zero crossing of the drive; flight: share of the time",
             "",
             response.summary(),
         ]

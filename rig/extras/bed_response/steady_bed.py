@@ -182,7 +182,7 @@ def _driving_force(scene: Scene, system: HybridSystem, harmonics: ComplexArray, 
 
 
 def _phase(phasor: ComplexArray, amplitudes: ComplexArray) -> Array:
-    """Return the mean phase of each wall force (`phasor`) after the zero of the drive with `amplitudes` [degrees]."""
+    """Return the phase of each wall force (`phasor`) after the upward zero crossing of the drive [degrees]."""
     # The positive-going zero of Re(A e^{i w t}) is at the phase -arg(i A).
     zero_factor = amplitudes[np.argmax(np.abs(amplitudes))] * 1j
     return np.asarray(np.degrees(np.angle(phasor * zero_factor)) % 360.0)

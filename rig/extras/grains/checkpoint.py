@@ -53,8 +53,8 @@ def read_checkpoint(path: Path, settings: Mapping[str, Any]) -> GrainsState | No
     # A damaged file can cause an exception of almost any type in the reader.
     except Exception:
         raise RunError(
-            f"{path} is not an interrupted run with grains that this version of shotrig can continue. Delete the file "
-            "to start again, or choose another name with -o."
+            f"{path} is not a checkpoint of this version of shotrig for a run with grains. Delete the file to start "
+            "again, or choose another name with -o."
         ) from None
     if different:
         raise RunError(

@@ -110,7 +110,7 @@ class GrainsRun:
         return self.coupled.motion_parts(buffer._replace(rows=state.rows, contact=state.contact))
 
     def _tone(self, tone: ToneDrive) -> Callable[[int, int], Array]:
-        """Return a function of two samples that evaluates the tone between them, (inputs, steps of grains + 1)."""
+        """Return a function of two sample numbers: it evaluates the tone between them, (inputs, grain steps + 1)."""
         substeps, periods_per_step = self.coupled.substeps, self.coupled.step * tone.frequency
 
         def tone_between(first: int, last: int) -> Array:
@@ -122,5 +122,5 @@ class GrainsRun:
         return tone_between
 
     def _sampled(self, drive: Array) -> Callable[[int, int], Array]:
-        """Return the function that `_tone` returns, for a sampled drive of shape (inputs, samples)."""
+        """Return a function as `_tone` does, for a sampled drive, shape (inputs, samples)."""
         return lambda first, last: interpolate_drive(drive[:, first : last + 1], self.coupled.substeps)

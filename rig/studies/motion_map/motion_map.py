@@ -349,19 +349,19 @@ def summarize_map(map_: MotionMap) -> str:
         f"{map_.scene.name}: {rows} x {points} steady-state motions, {map_.over} {map_.value[0]:.3g} to "
         f"{map_.value[-1]:.3g} {map_.unit}, {map_.frequency[0]:.4g} to {map_.frequency[-1]:.4g} Hz",
         "",
-        f"{'type of motion':20}{'share':>7}{'impacts a period':>18}{'CPU us a period':>17}{'CPU ms a motion':>17}",
+        f"{'type of motion':20}{'share':>7}{'impacts / period':>18}{'CPU µs / period':>17}{'CPU ms / motion':>17}",
     ]
     for index, kind in enumerate(KINDS):
         is_kind = map_.kind == index
         if is_kind.any():
             lines.append(
-                f"{kind:20}{is_kind.mean():7.1%}{map_.impacts[is_kind].mean():18.3g}"
+                f"{kind:20}{100.0 * is_kind.mean():5.1f} %{map_.impacts[is_kind].mean():18.3g}"
                 f"{1e6 * map_.cpu[is_kind].sum() / map_.periods[is_kind].sum():17.3g}"
                 f"{1e3 * np.median(map_.cpu[is_kind]):17.3g}"
             )
     lines += [
         "",
-        "CPU us a period: time to compute a period. CPU ms a motion: time to compute a motion, from the motion at the "
+        "CPU µs / period: time to compute a period. CPU ms / motion: time to compute a motion, from the motion at the "
         f"previous\nfrequency until it is steady within {STEADY_TOLERANCE:.0e} or irregular. These are not times of a "
         "test on a bench.",
         f"total CPU time: {map_.cpu.sum():.3g} s",

@@ -124,7 +124,7 @@ def test_limited_amplifier_gives_up(tmp_path: Any) -> None:
     scene = rig.load("fig9").replace(test={**TEST, "frequencies": [40.0, 41.0], "settle": {"longest": "4 s"}})
     assert scene.shaker is not None
     scene = scene.replace(shaker=scene.shaker.replace(amplifier={"limit": 0.01}))
-    with pytest.raises(RunError, match=r"at no frequency.*the amplifier is at its limit from 40 to 41 Hz"):
+    with pytest.raises(RunError, match=r"at no frequency.*of the level at 40 to 41 Hz: the amplifier is at its limit"):
         daq.record(scene, tmp_path / "held.mcap")
     with daq.open(tmp_path / "held.mcap") as rec:
         assert rec.markers[-1].kind == "abort"

@@ -183,7 +183,7 @@ def test_missing_column_and_units_name_file_and_remedy(tmp_path):
         daq.import_files(tmp_path / "a.csv", make_scene(), tmp_path / "r.mcap")
     body1, body2, force = str(error.value).splitlines()
     assert "'body1' in a.csv is not stated" in body1 and "unit: m/s^2" in body1 and "unit: m/s^2" in body2
-    assert "'force' in a.csv is not stated" in force and "unit: N," in force and "m/s^2" not in force
+    assert "'force' in a.csv is not stated" in force and "`unit: N`," in force and "m/s^2" not in force
     with pytest.raises(SceneError, match=r"body1: no column 'body1 \[g\]' in a\.csv; there are 1: body1, .*'body1'\?"):
         daq.import_files(tmp_path / "a.csv", make_scene(), tmp_path / "r.mcap", table={"body1": Column("body1 [g]")})
 

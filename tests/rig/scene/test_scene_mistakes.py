@@ -235,7 +235,7 @@ MISTAKES = [
     ("structure: {matrices: {mass: [[1]], stiffness: [[nan]]}}",
      ":1: structure.matrices.stiffness: got nan in row 1, column 1; expected finite numbers"),
     ("structure: {matrices: {mass: [[1, 0.5], [0.2, 1]], stiffness: [[1, 0], [0, 1]]}}",
-     ":1: structure.matrices.mass: the matrix is not symmetric: element (1, 2) is 0.5, element (2, 1) is 0.2"),
+     ":1: structure.matrices.mass: the matrix is not symmetric: entry (1, 2) is 0.5, entry (2, 1) is 0.2"),
     ("structure: {matrices: {mass: [[1, 2], [2, 1]], stiffness: [[1, 0], [0, 1]]}}",
      ":1: structure.matrices.mass: not positive definite"),
     ("structure: {matrices: {mass: [[1, 1], [1, 1]], stiffness: [[1, 0], [0, 1]]}}",

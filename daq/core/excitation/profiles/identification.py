@@ -126,7 +126,7 @@ def identify(
 def _first_drive(
     station: Station, lines: Lines, period: int, desired: Array, response_ratio: float
 ) -> tuple[Array, float]:
-    """Return amplitudes of a weak drive, and their largest increase, which is infinite if the estimate is rough."""
+    """Return amplitudes of a weak drive, and the largest factor by which they may rise; infinite if they are rough."""
     # The drive of a table follows from its model, for `response_ratio` times the response of the test. The drive of a
     # force is equal at all lines, estimated for a mass of 1 kg.
     shaker = station.scene.driven_shaker

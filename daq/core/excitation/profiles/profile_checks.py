@@ -102,7 +102,7 @@ class SweepLoop:
         self.required = test.required(motion, np.clip(frequency, *test.band))
 
     def gain(self, drive: float, frequency: float, row: int) -> float:
-        """Return the gain at a drive that a row of `required` determines, and a frequency in Hz."""
+        """Return the gain at a frequency in Hz, at a drive that a `row` of `required` determines."""
         distance = _SIDEBANDS * frequency / WINDOW_PERIODS
         per_drive = 1.0 / self.required[row]
         below, above = (np.interp(frequency + sign * distance, self.frequency, per_drive) for sign in (-1.0, 1.0))

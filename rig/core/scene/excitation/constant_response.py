@@ -17,7 +17,7 @@ _UNITS = ("m", "m/s", "m/s^2")
 
 
 class ConstantResponse(SteppedTest):
-    """A series of tones at which the motion of a body is controlled to the level, also where a stepped sine jumps."""
+    """A series of tones with a body's motion at the level, also where the response to a constant force jumps."""
 
     level_keys: ClassVar = ("displacement", "velocity", "acceleration")
     one_of: ClassVar = (level_keys, ("frequencies", "points"))
@@ -48,4 +48,4 @@ class ConstantResponse(SteppedTest):
 
     @property
     def tone(self) -> None:
-        """No tone is known before the test, because the drive depends on measured values."""
+        """None: the drive depends on measured values."""

@@ -14,7 +14,7 @@ from rig.core.settings.quantity_field import Quantity
 
 
 class Free(KindOfTest):
-    """Free vibration from given displacements and velocities, with the drive at rest."""
+    """Free vibration from given displacements and velocities, with zero drive."""
 
     kind: Literal["free"] = "free"
     recorded_as: ClassVar = "free"
@@ -28,7 +28,7 @@ class Free(KindOfTest):
     mode: Annotated[int, Field(ge=1)] | None = None
     """Instead of displacement and velocity: number of the mode whose shape is the initial displacement, from 1."""
     amplitude: Annotated[float, Quantity(LENGTH, above=0.0)] | None = None
-    """Largest initial displacement of that mode shape [m]."""
+    """Largest initial displacement of the mode shape [m]; only with `mode`."""
     duration: Duration = 6.0
     """Duration of the test [s]."""
 
@@ -43,14 +43,14 @@ class Free(KindOfTest):
             yield Problem((), "no initial state; expected displacement, velocity, or mode and amplitude")
 
     def initial_motion(self, bodies: int, shapes: Callable[[], Array]) -> tuple[Array, Array]:
-        """Return initial displacement [m] and velocity [m/s], shape (bodies,)."""
+        """Return initial displacement [m] and velocity [m/s], (bodies,); `shapes` computes the mode shapes."""
         displacement = np.zeros(bodies) if self.displacement is None else np.array(self.displacement)
         if self.mode is not None:
             displacement = (self.amplitude or 0.0) * shapes()[:, self.mode - 1]
         return displacement, np.zeros(bodies) if self.velocity is None else np.array(self.velocity)
 
     def wave(self, samples: int, rate: float) -> Rest:
-        """Return no drive."""
+        """Return a zero drive."""
         return Rest()
 
     def references(self, valid: Mapping[str, Any]) -> Iterable[Problem]:

@@ -131,7 +131,7 @@ class Impulse(KindOfTest):
         return [pulses[hit] for hit in hits]
 
     def wave(self, samples: int, rate: float) -> Pulses:
-        """Return the force [N]: the impacts of a recording, of which the first begins at t = 0."""
+        """Return the force of all impacts [N]; the first impact begins at t = 0."""
         force, interval = np.zeros(samples), max(1, round(self.interval * rate))
         for first, pulse in zip(range(0, samples, interval), self.pulses(rate), strict=False):
             force[first : first + pulse.size] = pulse[: samples - first]

@@ -59,14 +59,14 @@ class Chirp(NamedTuple):
 
 
 class Pulses(NamedTuple):
-    """Open-loop drive: samples of one input, of any wave form."""
+    """Open-loop drive: samples of any waveform at one input."""
 
     input: Literal["hammer", "shaker"]
     values: Array  # N of a hammer, or drive of the shaker in `drive_unit`, shape (samples,)
 
 
 class Rest(NamedTuple):
-    """Open loop without a drive."""
+    """Open-loop drive that is zero."""
 
 
 class Settle(Settings):
@@ -253,7 +253,7 @@ class KindOfTest(Settings):
 
     @property
     def tone(self) -> float | None:
-        """Frequency of the open-loop drive [Hz] if it is a tone."""
+        """Frequency of the open-loop drive if it is a tone [Hz]; otherwise None."""
         return self.dwells[0] if self.dwells else None
 
     def wave(self, samples: int, rate: float) -> Chirp | Pulses | Rest | None:

@@ -35,7 +35,7 @@ class Breakpoints(Settings):
 
     @property
     def key(self) -> str:
-        """Key of the given values in the scene file, such as one of `value_keys`."""
+        """Key of the given values: one of `value_keys`."""
         return next(key for key in self.value_keys if getattr(self, key) is not None)
 
     def check_consistency(self) -> Iterable[Problem]:
@@ -109,7 +109,7 @@ class Control(Settings):
     """Combination of several control channels at each frequency."""
 
     def combined(self, values: Array) -> Array:
-        """Return the combination of values of the channels, shape (channels, ...)."""
+        """Return the mean, largest or smallest of the channels' values, shape (channels, ...)."""
         combinations: dict[str, Any] = {"average": np.mean, "maximum": np.max, "minimum": np.min}
         return np.asarray(combinations[self.combine](values, axis=0))
 

@@ -25,5 +25,5 @@ class Sine(KindOfTest):
 
     @property
     def dwells(self) -> tuple[float, ...]:
-        """The frequency [Hz]."""
+        """The single frequency of the test [Hz]."""
         return (self.frequency,)

@@ -45,11 +45,11 @@ class SteppedTest(KindOfTest):
     from_: Frequency | None = Field(None, alias="from")
     """First frequency [Hz]."""
     to: Frequency | None = None
-    """Last frequency [Hz], above from."""
+    """Last frequency [Hz], higher than `from`."""
     points: Annotated[int, Field(ge=2, le=MAX_STEPS)] | None = None
     """Number of frequencies, both ends inclusive."""
     frequencies: tuple[Frequency, ...] | None = Field(None, min_length=1, max_length=MAX_STEPS)
-    """Instead of from, to and points: the frequencies [Hz] in ascending order."""
+    """Instead of `from`, `to` and `points`: the frequencies [Hz] in ascending order."""
     spacing: Spacing = "linear"
     """Whether the frequencies are evenly spaced on a linear or a logarithmic axis."""
     direction: Literal["up", "down", "both"] = "up"

@@ -33,7 +33,7 @@ class BaseShaker(KindOfShaker):
 
     @property
     def newtons_per_drive(self) -> float:
-        """Force on a structure of 1 kg."""
+        """Force per unit of drive on a structure of 1 kg [N]."""
         return 1.0
 
     def add_to(self, equations: Equations, drive: str, table: str) -> None:

@@ -66,7 +66,7 @@ class ElectrodynamicShaker(CoilSpringShaker):
 
     @property
     def newtons_per_drive(self) -> float:
-        """Force of the coil at rest."""
+        """Force of the coil at rest per unit of drive [N]."""
         newtons = self.coil.force_factor * self.amplifier.gain
         return newtons if self._sets_current else newtons / self.coil.resistance
 

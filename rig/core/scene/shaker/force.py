@@ -33,7 +33,7 @@ class ForceShaker(KindOfShaker):
 
     @property
     def newtons_per_drive(self) -> float:
-        """1, because the drive is the force."""
+        """Force per unit of drive: 1, because the drive is the force."""
         return 1.0
 
     def add_to(self, equations: Equations, drive: str, table: str) -> None:

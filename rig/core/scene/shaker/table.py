@@ -39,7 +39,7 @@ class TableShaker(CoilSpringShaker):
 
     @property
     def newtons_per_drive(self) -> float:
-        """Force of the coil spring while the body is at rest."""
+        """Force of the coil spring per unit of drive while the body is at rest [N]."""
         return self.spring
 
     def add_to(self, equations: Equations, drive: str, table: str) -> None:

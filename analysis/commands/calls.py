@@ -74,7 +74,6 @@ class Results(Result, Sequence[R], Generic[R]):
             result.draw(ax, **style)
 
     def _repr_html_(self) -> str:
-        """Return the HTML that notebooks show for each result."""
         return "".join(result._repr_html_() for result in self._results)
 
 
@@ -400,7 +399,6 @@ def _paths(recordings: Recordings) -> list[Path]:
 
 
 def _path(recording: OneRecording) -> Path:
-    """Return the path of a single recording."""
     from rig.core.base.errors import RecordingError
 
     paths = _paths(recording)

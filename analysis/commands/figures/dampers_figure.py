@@ -8,7 +8,7 @@ import numpy as np
 
 from analysis.core.damper_motion.dampers import Dampers
 from analysis.core.damper_motion.energy_balance import EnergyBalance
-from analysis.core.damper_motion.motion_types import DamperMotion
+from analysis.core.damper_motion.motion_types import MOTION_TEXTS, DamperMotion
 from analysis.core.responses.spectral_lines import Lines
 from rig.core.base.escaping import escape_figure
 from rig.core.base.figure_style import add_legend_below, add_title, cell_edges, frequency_axis, log_axis, new_figure
@@ -17,20 +17,20 @@ from rig.core.base.palette import DAMPER, MOTIONS
 
 # Legend entries of the motions by name (`DamperMotion.name`), in the order of the legend.
 _LEGEND_TEXTS = {
-    "riding": "at rest on the floor",
-    "I": "Type I: flies, hits the floor once a period",
-    "II": "Type II: hits floor and ceiling once a period",
+    "riding": MOTION_TEXTS["riding"],
+    "I": "Type I: flies, hits the floor once per period",
+    "II": "Type II: hits floor and ceiling once per period",
     "III": "Type III: as Type II, but stays at the ceiling",
-    "other": "other pattern of impacts",
-    "unseen": "may fly, impacts below the detection limit",
-    "uncertain": "impacts missed, or irregular",
+    "other": "other cycle of impacts",
+    "unseen": MOTION_TEXTS["unseen"],
+    "uncertain": MOTION_TEXTS["uncertain"],
 }
 # Color of each known motion, as in the motion map.
 _MOTION_COLORS = dict(zip(_LEGEND_TEXTS, (*MOTIONS[:5], "#ffffff", "#444444"), strict=True))
 
 
 def dampers_figure(dampers: Dampers, title: str) -> Figure:
-    """Draw the motion of each damper at each frequency and, if known, the energy per period."""
+    """Draw the motion of the dampers in each body at each frequency and, if known, the energy per period."""
     motions, energy, lines = dampers.bodies, dampers.energy, dampers.sweep.lines
     frequencies = np.append(lines.frequency, lines.omitted)
     # A margin of 2 %, so the first and the last cell are not cut.
@@ -82,7 +82,7 @@ def _style(kind: str) -> dict[str, Any]:
 
 
 def _draw_energies(axes: Axes, energy: EnergyBalance, lines: Lines, true_loss: np.ndarray | None) -> None:
-    """Draw the energies against frequency; damper energies whose interval includes zero are drawn as upper bounds."""
+    """Draw the energies against frequency; damper energies whose interval includes zero are drawn as upper limits."""
     order = np.argsort(energy.frequency, kind="stable")
     frequency = energy.frequency[order]
     gaps = np.searchsorted(frequency, np.sort(lines.omitted))
@@ -93,18 +93,20 @@ def _draw_energies(axes: Axes, energy: EnergyBalance, lines: Lines, true_loss: n
 
     is_determined = energy.dampers > energy.expanded
     into_dampers = np.where(is_determined, energy.dampers, np.nan)
-    # Open circles remain visible around the energy into the dampers, where it is nearly all.
+    # Open circles remain visible around the energy of the dampers, where it is nearly all of the supplied energy.
     rings: dict[str, Any] = {"mfc": "none", "ms": 5.0, "mew": 0.8, "zorder": 4}
     draw_energy(energy.supplied, color="#000000", marker="o", label="supplied by the force", **rings)
-    draw_energy(energy.structure, color="#777777", marker="o", label="into the structure's damping, as in the scene")
-    draw_energy(into_dampers, color=DAMPER, marker="o", label="into the dampers")
+    draw_energy(
+        energy.structure, color="#777777", marker="o", label="dissipated by the structure (damping of the scene)"
+    )
+    draw_energy(into_dampers, color=DAMPER, marker="o", label="dissipated by the dampers")
     axes.errorbar(
         energy.frequency, 1e3 * into_dampers, 1e3 * energy.expanded, fmt="none", ecolor=DAMPER, elinewidth=0.9
     )
     upper_bound = 1e3 * np.maximum(energy.dampers + energy.expanded, 0.0)
     axes.plot(
         energy.frequency[~is_determined], upper_bound[~is_determined], "v", mfc="none", ms=3.5, mew=0.9,
-        color=DAMPER, label="into the dampers, upper bound",
+        color=DAMPER, label="dissipated by the dampers, upper limit",
     )  # fmt: skip
     plotted = [1e3 * energy.supplied, 1e3 * energy.structure, 1e3 * into_dampers, upper_bound[~is_determined]]
     if true_loss is not None:

@@ -27,5 +27,5 @@ def _draw(result: Backbone, figure: Figure, axes: Axes) -> None:
     common = common_error_text(*amplitudes)
     add_caption(
         figure, "Numbers: level of each point. Dotted lines only join the points. Bars: 95 % intervals.", common,
-        "Gray bar: with them, at the first point." * bool(common),
+        "Gray bar: including these tolerances, at the first point." * bool(common),
     )  # fmt: skip

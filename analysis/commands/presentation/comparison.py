@@ -54,9 +54,9 @@ _HEADING = (
 
 # Warning if the 95 % interval of a peak is unbounded.
 _UNBOUNDED_PEAKS = (
-    "Some peaks may be higher than measured: the curve has only three points, or it jumps, ends or lacks points next "
-    "to its highest point, or dampers start to move at the peak between its points. Measure there with a "
-    "smaller frequency spacing, in both directions (test.direction: both) and without overloads."
+    "Some peaks may be higher than measured. Possible causes: only three points; a jump, a gap or the end of the curve "
+    "next to the highest point; dampers that begin to move between the points. Measure there with a smaller frequency "
+    "spacing, in both directions (test.direction: both) and without overloads."
 )
 # Warning if the uncertainty of a peak is large.
 _UNDETERMINED_PEAKS = (
@@ -195,7 +195,7 @@ def change_table(changes: Sequence[PeakChange], shown_in: tuple[str, float]) -> 
 
 
 def describe_changes(changes: Sequence[PeakChange], shown_in: tuple[str, float]) -> list[str]:
-    """Return a table of the compared peaks, and the ranges in which no peak is left; `shown_in`: see `change_table`."""
+    """Return a table of the compared peaks, and the bands whose peak has vanished; `shown_in`: see `change_table`."""
     unit, factor = shown_in
     remarks = [
         f"{change.response}, mode at {change.mode_label}: no peak is left between "

@@ -77,7 +77,7 @@ def present_continuation(
         amplitudes = result.amplitude, result.amplitude_own, result.amplitude_expanded
         common = common_error_text(*amplitudes)
         draw_common_error(axes, result.frequency, *(1e3 * column for column in amplitudes))
-        bar = "Gray bar: with them, at the first point." * bool(common)
+        bar = "Gray bar: including these tolerances, at the first point." * bool(common)
         add_legend_below(figure, "Bars: 95 % intervals.", common, bar, *computed, *omissions)
 
     title = "Response at constant level"

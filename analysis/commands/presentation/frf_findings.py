@@ -25,6 +25,7 @@ from analysis.core.recordings.names import (
     belongs_to,
     excitation_text,
     relabel,
+    sweep_name,
     validity_texts,
     with_recordings,
     without_common_direction,
@@ -82,7 +83,7 @@ def present_frf(
     check_outputs(paths, table)
     tolerance_remarks: list[str] = []
     moving: dict[str, bool] = {}
-    # Names by rig: overrides change the rig of a scene, but not its name.
+    # Names by rig: changes (`--set`) change the rig of a scene, but not its name.
     scenes: dict[str, str] = {}
     excitations: dict[str, str] = {}
     acquisitions: set[str] = set()
@@ -155,8 +156,8 @@ def _peaks_between_points(frf: Response) -> list[str]:
         return []
     if is_next_to_omitted(frf, frequency):
         return [
-            f"highest point is next to frequencies that were omitted, {frequency:.4g} Hz: the peak may be there. "
-            "Remove the cause, and measure again"
+            f"the highest point, at {frequency:.4g} Hz, is next to omitted frequencies, where the peak may be. Remove "
+            "the cause of the omission (see the warnings), and measure again"
         ]
     # `resonance_peaks` estimates displacement.
     n_derivatives = MOTIONS.index(frf.motion)
@@ -178,8 +179,8 @@ def _peaks_between_points(frf: Response) -> list[str]:
         )
     elif frequency in (frf.frequency.min(), frf.frequency.max()):
         remarks.append(
-            f"highest point is at the end of the band, {frequency:.4g} Hz: the peak may be outside. Measure a wider "
-            f"band"
+            f"the highest point, at {frequency:.4g} Hz, is at the end of the band, so the peak may be outside. Measure "
+            "a wider band"
         )
     coarse = [r for r, p, _ in peaks if not p.loading and may_be_higher(r, p)]
     remarks += [
@@ -213,13 +214,13 @@ def _take_off_remark(frf: Response, resonance: Resonance, peak: Peak) -> str:
     remedy = estimator_of(frf.test).peak_remedy(resonance.needed_spacing)
     if (frf.loading[lines] > 1.0).any():
         return (
-            f"the peak {where} may be higher than measured: a damper or joint acts at some of these points (a "
-            f"bed: above 1 g) and not at others. {remedy}"
+            f"the peak {where} may be higher than measured: a damper or joint acts at some of these points only (a bed "
+            f"acts above 1 g). {remedy}"
         )
     return (
-        f"the peak {where} may be higher than measured: the points are linear motion, and its peak would be "
-        f"{peak.loading:.2g} times the motion at which a damper or joint acts (a bed: 1 g). {remedy}, or reduce the "
-        f"level {peak.loading:.2g} times"
+        f"the peak {where} may be higher than measured. All points show linear motion, but the motion at the peak "
+        f"would be {peak.loading:.2g} times that at which a damper or joint begins to act (a bed: 1 g). {remedy}, or "
+        f"divide the level by {peak.loading:.2g}"
     )
 
 
@@ -243,7 +244,7 @@ def _draw_figures(
     remarks: Sequence[str] = (),
     scenes: Collection[str] = (),
 ) -> list[Path]:
-    """Draw one figure for a single sweep, or one figure for each FRF of several sweeps; return the files.
+    """Draw one figure for a single sweep, or one figure for each response of several sweeps; return the files.
 
     `baseline`: label of the recording with which all others are compared; `excitations`: test and level by recording;
     `acquisitions`: averages, lines and sample rates of all recordings; `remarks`: sentences for the captions;
@@ -257,16 +258,16 @@ def _draw_figures(
     groups = _by_ratio(curves)
     tests = set(excitations.values())
     acquisition = ", ".join(["", *acquisitions]) if len(acquisitions) == 1 else ""
-    test = f" ({tests.pop()}{acquisition})" if len(tests) == 1 and "" not in tests else ""
+    test = f"{tests.pop()}{acquisition}" if len(tests) == 1 and "" not in tests else ""
     if len(sweep_labels) == 1:
         inputs = {frf.input for frf in curves}
         labeled = [replace(frf, label=frf.response if len(inputs) == 1 else frf.ratio) for frf in curves]
         if test and len(inputs) == 1:
-            test = f"{test[:-1]}; {inputs.pop()})"
+            test = f"{test}; {inputs.pop()}"
         return save_figure(
             frf_figure(
                 labeled,
-                f"{quantity}: {sweep_labels[0]}{test}",
+                f"{quantity}: {sweep_labels[0]}{f' ({test})' * bool(test)}",
                 _without_duplicates(theory),
                 _jump_marks(labeled),
                 remarks=remarks,
@@ -281,12 +282,12 @@ def _draw_figures(
     # Recordings of one scene that differ only in their level are named by it.
     has_levels = len(scenes) == 1 < len(levels) == len(set(levels)) and len(set(kinds)) == 1 and all(kinds)
     if has_levels:
-        test = f" ({kinds[0]}{acquisition})"
+        test = f"{kinds[0]}{acquisition}"
     for labeled in groups:
         first = labeled[0]
         same_frf = [frf for frf in theory if (frf.response, frf.input) == (first.response, first.input)]
         name = first.response if len(inputs) == 1 else first.ratio.replace(" / ", "-by-").replace(" ", "-")
-        title = f"{quantity}, {first.ratio}{subject}{test}"
+        title = f"{quantity}, {first.ratio}{subject}{f' ({test})' * bool(test)}"
         styles = recording_styles([belongs_to(curve.label, baseline) for curve in labeled])
         named = [_with_test(curve, {} if test else excitations) for curve in labeled]
         if has_levels:
@@ -298,8 +299,7 @@ def _draw_figures(
             ]
         if len(excitations) == 1:
             # The title names the recording.
-            named = [relabel(curve, next(iter(excitations)), "") for curve in named]
-            names = without_common_direction([curve.label.lstrip(", ") for curve in named])
+            names = without_common_direction([sweep_name(curve.label, subjects[0]) for curve in named])
             named = [replace(curve, label=name) for curve, name in zip(named, names, strict=True)]
         figure_stem = stem if len(groups) == 1 else with_channel_name(stem, name)
         files += save_figure(

@@ -159,7 +159,7 @@ def describe_modes(modes: Modes, theory: TheoreticalModes | None = None, frfs: S
 
 
 def _has_near_frequency(modes: Modes, theory: TheoreticalModes) -> bool:
-    """Return whether any mode is near one of the scene's; masses and springs of imports may be placeholders."""
+    """Return whether any mode is near a mode of the scene; masses and springs of imports may be placeholders."""
     ratios = modes.frequency[:, None] / theory.frequency
     return bool(np.any((ratios < _MAX_THEORY_RATIO) & (ratios > 1.0 / _MAX_THEORY_RATIO)))
 

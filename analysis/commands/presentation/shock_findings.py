@@ -62,11 +62,11 @@ def present_srs(
             spectra.append((label, spectrum))
             warnings += with_recording_name(path, spectrum.warnings)
     places = {name: info.at for path in paths for name, info in recordings.of(path).channels.items()}
-    title, required = f"Shock response spectrum, Q = {q:g}", None
+    title, prescribed = f"Shock response spectrum, Q = {q:g}", None
     if len(paths) == 1:
         rec = recordings.of(paths[0])
         title += f": {rec.scene.name} ({full_test_text(rec)})"
-        required = prescribed_spectrum(rec, q, spectra[0][1].frequency)
+        prescribed = prescribed_spectrum(rec, q, spectra[0][1].frequency)
     with new_figure(4.6) as figure:
         axes = figure.add_subplot()
         for index, (label, spectrum) in enumerate(spectra):
@@ -80,17 +80,18 @@ def present_srs(
                 dashes = "-" if len(paths) > 1 else location_style(places[spectrum.channel]).line
                 axes.loglog(spectrum.frequency, spectrum.maximax, ls=dashes, lw=1.6, **style)
                 axes.set(xlabel="natural frequency / Hz", ylabel=f"shock response / ({spectrum.unit})")
-        if required is not None:
-            axes.loglog(*required, color=BASELINE, lw=4.0, alpha=0.25, label="prescribed pulse")
+        if prescribed is not None:
+            axes.loglog(*prescribed, color=BASELINE, lw=4.0, alpha=0.25, label="prescribed pulse")
         for axis in (axes.xaxis, axes.yaxis):
             set_log_scale(axis)
         add_title(axes, title)
         signed = " Dashed: positive. Dotted: negative." if len(spectra) == 1 else ""
-        part = "the chosen part" if (from_s, to_s) != (None, None) else "the first shock"
-        if len(paths) == 1 and part == "the first shock" and len(shocks_of(rec.markers)) > 1:
+        is_first_shock = from_s is None and to_s is None
+        part = "the first shock" if is_first_shock else "the chosen part"
+        if len(paths) == 1 and is_first_shock and len(shocks_of(rec.markers)) > 1:
             part += f"; {scatter_text([spectra_of_shocks(rec, each.channel, q) for _, each in spectra])}"
-        maximax = f"Largest magnitude of the absolute acceleration (maximax, {OCTAVE_STEPS} per octave)"
-        add_legend_below(figure, f"{maximax} in {part}.{signed}")
+        maximax = f"Largest magnitude of the absolute acceleration (maximax) in {part}"
+        add_legend_below(figure, f"{maximax}, at {OCTAVE_STEPS} natural frequencies per octave.{signed}")
         files = save_figure(figure, stem)
     rows: list[Row] = [
         (label, spectrum.channel, spectrum.unit, spectrum.q, *values)

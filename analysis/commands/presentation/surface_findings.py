@@ -25,18 +25,19 @@ def present_surface(
     def draw(result: ForceSurface, figure: Figure, axes: Axes) -> None:
         if forces:
             draw_responses(result, forces, axes)
-            held = "Gray: held amplitudes. Between them, the force is interpolated."
+            measured = "Gray points: measured; between them, the force is interpolated."
             is_unstable = any(not result.at_force(force)["stable"].all() for force in forces)
-            add_legend_below(figure, "Bars: 95 % intervals.", "Hollow: unstable." * is_unstable, held)
+            add_legend_below(figure, "Bars: 95 % intervals.", "Hollow: unstable." * is_unstable, measured)
         else:
             result.draw(axes)
             bars = "Bars: 95 % intervals of the force, which include the uncertainty of the amplitude"
-            common = common_error_text(result.force, result.force_own, result.force_expanded)
+            amplitudes = result.force, result.force_own, result.force_expanded
+            common = common_error_text(*amplitudes, "all points of a level")
             add_legend_below(
                 figure,
                 f"{bars} times the slope of the curve. Lines join the points.",
-                common.replace("points", "points of a level"),
-                "Gray bars: with them, at the first point of a level." * bool(common),
+                common,
+                "Gray bars: including these tolerances, at the first point of each level." * bool(common),
             )
 
     title = "Response at constant force" if forces else "Force at constant amplitude"
@@ -46,7 +47,7 @@ def present_surface(
 
 
 def draw_responses(result: ForceSurface, forces: Sequence[float], axes: Axes) -> None:
-    """Draw the responses at force amplitudes in N, folds as crosses, and the points at which the amplitude was held."""
+    """Draw the responses at force amplitudes in N, their folds as crosses, and the measured points."""
     # Gray points show where the force was measured; between them it is interpolated.
     axes.plot(result.frequency, 1e3 * result.amplitude, "o", ms=2.5, color="#b0b0b0", zorder=1)
     for force, (color, _, marker) in level_styles(forces).items():

@@ -126,7 +126,7 @@ def _body(scene: Scene, body: int, top: float) -> Iterator[str]:
 
 
 def _joint(joint: Joint, tops: Sequence[float]) -> Iterator[str]:
-    """Draw the block of a joint between neighboring bodies below the upper body; other joints are in the settings."""
+    """Draw the block of a joint between two neighboring bodies; other joints are listed in the settings."""
     lower, upper = joint.ends
     if upper is not None and upper == (0 if lower is None else lower + 1):
         x, y = _LEFT + _BODY_WIDTH - 30, tops[upper] + _BODY_HEIGHT

@@ -18,13 +18,13 @@ from rig.core.results.response import Response
 from rig.core.results.table import join_tables
 from rig.core.results.uncertainty import expand
 
-# Smallest stated uncertainty of an amplitude and of a share of energy, relative: no sensor is more accurate.
+# Smallest stated uncertainty of an amplitude and of an energy, relative: no sensor is more accurate.
 _LEAST_RATIO = 1e-3
 # Quantities that the headline does not repeat.
 _ONLY_IN_TABLE = ("excitation frequency", "phase deviation")
 _MODE_CAPTION = (
-    "Natural frequency and damping ratio are those of the mode; the excitation frequency is that of {}, to which "
-    "amplitude and energy belong. The two differ where other modes contribute to the motion{}."
+    "Natural frequency and damping ratio are those of the mode; the excitation frequency, the amplitude and the energy "
+    "are those of {}. The two frequencies differ where other modes contribute to the motion{}."
 )
 
 
@@ -108,7 +108,7 @@ def _mode_point(
     measurement: Measurement, sweep: SweepResults, level: str, band: tuple[float, float], ratio: str
 ) -> LevelPoint:
     """Return natural frequency and damping of the mode in a `band` [Hz], and the highest measured point of its peak."""
-    # The side of the peak of another mode may be higher in the band; `sweep.found` contains no such points.
+    # Within the band, the flank of another mode's peak may be higher; `sweep.found` contains only peaks.
     modes, test = sweep.modes, measurement.rec.scene.test
     assert modes is not None
     inside = np.flatnonzero((band[0] < modes.frequency) & (modes.frequency < band[1])).tolist()
@@ -168,12 +168,11 @@ def _highest_maximum(curve: Response, band: tuple[float, float]) -> float | None
 
 
 def _with_energy(point: LevelPoint, results: Iterable[Dampers]) -> LevelPoint:
-    """Add the dissipated share of the supplied energy at a point's frequency from the results at its level."""
-    for energy in (result.energy for result in results if result.energy is not None and np.isfinite(point.frequency)):
-        line = int(np.argmin(abs(energy.frequency - point.frequency)))
-        percent, bound = (
-            100.0 * float(part[line] / energy.supplied[line]) for part in (energy.dampers, energy.expanded)
-        )
-        share = {"energy in dampers / %": (percent, format_limited(percent, max(bound, 100.0 * _LEAST_RATIO), 100.0))}
-        return point._replace(quantities={**point.quantities, **share})
-    return point
+    """Add the share of the supplied energy that the dampers dissipate at a point's frequency and level."""
+    energy = next((result.energy for result in results if result.energy is not None), None)
+    if energy is None or not np.isfinite(point.frequency):
+        return point
+    line = int(np.argmin(abs(energy.frequency - point.frequency)))
+    percent, bound = (100.0 * float(part[line] / energy.supplied[line]) for part in (energy.dampers, energy.expanded))
+    text = format_limited(percent, max(bound, 100.0 * _LEAST_RATIO), 100.0)
+    return point._replace(quantities={**point.quantities, "energy dissipated by dampers / %": (percent, text)})

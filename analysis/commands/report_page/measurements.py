@@ -123,7 +123,7 @@ class Measurement:
 
     @property
     def drawn(self) -> list[str]:
-        """Channels in charts: of many, some forces, then those with the highest peak of a mode, then the others."""
+        """Channels in charts. Of many: some forces, then channels with the highest peak of a mode, then others."""
         channels = self.rec.channels
         forces = [name for name, info in channels.items() if info.quantity == "force"]
         highest = [pair[0].response for sweep in self.sweeps for pair in sweep.peaks if pair is not None]
@@ -158,7 +158,7 @@ class Measurements:
 
     @property
     def baseline(self) -> Measurement:
-        """Recording of comparison: the first without moving dampers (independent of level), otherwise the first."""
+        """Recording with which all others are compared: the first without moving dampers, otherwise the first."""
         label = baseline_label({result.label: not result.rec.scene.is_linear for result in self.results})
         return next((result for result in self.results if result.label == label), self.results[0])
 

@@ -103,7 +103,6 @@ def _footer(paths: Sequence[Path]) -> str:
 
 
 def _page(paths: Sequence[Path], output: Path | None) -> Path:
-    """Return the path of the page."""
     if output is not None and output.suffix.lower() in {".html", ".htm"} and not output.is_dir():
         return output
     return with_ending(output_stem(paths, output, "report"), "html")
@@ -213,7 +212,7 @@ def _test_description(measurement: Measurement) -> str:
 
 
 def _modes(results: Sequence[Measurement], baseline: Measurement) -> list[str]:
-    """Draw the modes of each first sweep with two bodies or more, as HTML, with the signs of the baseline's shapes."""
+    """Draw, as HTML, the modes of each recording's first sweep, with the signs of the baseline; for several bodies."""
     sections = []
     baseline_shapes = next((sweep.modes.of_bodies() for sweep in baseline.sweeps[:1] if sweep.modes is not None), None)
     for measurement in results:

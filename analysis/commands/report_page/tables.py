@@ -159,7 +159,8 @@ def budget(curve: Response, highest: Peak) -> str:
         point = curve.peak_line()
     result = curve.budget(curve.response, float(curve.frequency[point]))
     unit, factor = curve.shown_in
-    stated = f". Of a measured point; the stated peak is {highest.height_text(factor, unit)}" * highest.is_extrapolated
+    peak = highest.height_text(factor, unit)
+    stated = f". The budget is that of a measured point; the stated peak is {peak}" * highest.is_extrapolated
     return result.table().html(f"Uncertainty budget of {curve.label}, {result.heading}{stated}")
 
 

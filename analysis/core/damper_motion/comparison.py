@@ -82,7 +82,7 @@ class Peak:
 
     @property
     def is_extrapolated(self) -> bool:
-        """Whether the peak exceeds its highest measured point by more than half-power."""
+        """Whether the peak exceeds its highest measured point by more than 3 dB (half-power)."""
         return self.value > _HALF_POWER * self.highest_point
 
     def label(self, frequency: float) -> str:
@@ -373,7 +373,7 @@ def _highest_local_maximum(magnitude: np.ndarray, random_bound: np.ndarray) -> i
 
 
 def _leave_one_out_error(f: np.ndarray, inverse_frf: np.ndarray, random_bound: np.ndarray, highest: int) -> float:
-    """Estimate the relative error, beyond `random_bound` of 1/H, of predictions of the three points at the peak."""
+    """Estimate the relative error of the peak's three points as predicted by their neighbors, beyond `random_bound`."""
     errors = [0.0]
     for k in (highest - 1, highest, highest + 1):
         others = np.array([i for i in range(max(k - 2, 0), min(k + 3, f.size)) if i != k])

@@ -24,7 +24,7 @@ from rig.core.scene.damper import Damper
 #: Sentence on the impacts of a mass that does not fall freely: without walls, and with walls.
 _IMPACT_TEXTS = (
     "{} has no impacts.",
-    "channels cannot show the impacts of {} in this body, because it does not fall freely.",
+    "channels cannot show the impacts of {} in this body, because the mass does not fall freely.",
 )
 
 
@@ -45,7 +45,7 @@ class Dampers(Result):
     true_impact_energy : ndarray, shape (n,), or None
         True energy loss in impacts per period [J] if the truth was recorded.
     missing : tuple of str
-        Bodies without a result, with the reason.
+        What the results lack: bodies, joints and dampers that are not evaluated, with the reason.
     warnings : tuple of str
         Sentences on limits of the results.
     """
@@ -101,8 +101,8 @@ class Dampers(Result):
             order = np.argsort(self.energy.frequency, kind="stable")
             for name, energy in (
                 ("supplied", self.energy.supplied),
-                ("into the dampers", self.energy.dampers),
-                ("in the structure", self.energy.structure),
+                ("dissipated by the dampers", self.energy.dampers),
+                ("dissipated by the structure", self.energy.structure),
             ):
                 values = 1e3 * np.where(energy > 0.0, energy, np.nan)[order]
                 ax.semilogy(
@@ -133,14 +133,14 @@ def dampers_in(rec: Recording, label: str | None = None, progress: CountProgress
     for sweep in sweeps(rec, progress=progress):
         bodies, warnings = [], list(sweep.lines.warnings)
         missing = [
-            f"joint {number}, {joint.text(rec.scene.structure.label)}: the channels do not determine when it acts, "
-            "because its force is not measured. The force resembles impacts of dampers, so impacts on its bodies are "
-            "not detected. The energy into the dampers includes its loss."
+            f"joint {number}, {joint.text(rec.scene.structure.label)}: its force is not measured, so the channels do "
+            "not show when the joint acts. The force resembles damper impacts, so impacts on the bodies of the joint "
+            "are not detected. The energy of the dampers includes the energy that the joint dissipates."
             for number, joint in enumerate(rec.scene.joints, 1)
         ]
         missing += [
-            f"{rec.scene.structure.label(damper.body)}: {_impact_text(damper)} The energy into the dampers includes "
-            "its loss."
+            f"{rec.scene.structure.label(damper.body)}: {_impact_text(damper)} The energy of the dampers includes the "
+            "energy that this mass dissipates."
             for damper in other
         ]
         for number in bodies_with_dampers:

@@ -119,7 +119,7 @@ class _WallContact(NamedTuple):
 
 
 def restitution(motion: BodyMotion, damper: Damper) -> Restitution | None:
-    """Estimate the restitution of the only damper on a body from the impacts in a segment of its channel.
+    """Estimate the restitution of the only damper in a body from the impacts in a segment of its channel.
 
     Between two impacts the damper is in free fall inside a cavity whose motion is measured. The times at which the
     damper leaves a wall and meets the next wall determine the closing speed w. The flight begins either from rest, when
@@ -232,7 +232,7 @@ def _restitution_after_rest(
 def _restitution_after_rebound(
     motion: BodyMotion, departure: _WallContact, arrival: _WallContact, inelastic_speed: Array
 ) -> tuple[float, float] | None:
-    """Estimate the restitution from rebound and next closing speed; `inelastic_speed`: both without restitution."""
+    """Estimate the restitution from rebound and next closing speed; `inelastic_speed`: both for zero restitution."""
     gravity = motion.rec.scene.gravity
     time, height_error, closing_speed = _flight(gravity, departure, arrival)
     # The rebound speed with which the flight ends exactly at the wall.
@@ -250,7 +250,7 @@ def _restitution_after_rebound(
 
 
 def may_reach_ceiling(motion: BodyMotion, damper: Damper) -> bool:
-    """Return whether the only damper on a body may reach its ceiling between its floor impacts.
+    """Return whether the only damper in a body may reach its ceiling between its floor impacts.
 
     After an instantaneous impact the damper is at rest on the floor while the body's acceleration exceeds -g. The
     damper is then in free fall, so its height above the floor follows from the motion of the body. For

@@ -12,11 +12,11 @@ import numpy as np
 
 from analysis.core.damper_motion.joint_fit import ITERATIONS, Jump
 
-# Sets of jumps that are extended by a further jump; the computing time is proportional to this number.
+# Number of groups of jumps that are extended by a further jump; the computing time is proportional to it.
 _BEAM_WIDTH = 3
-# Number of candidates for the further jump of a set that are fitted completely; complete fits take most of the time.
+# Number of candidates for the further jump of a group that are fitted completely, which takes most of the time.
 _EXTENSIONS = 4
-# Maximum number of jumps in a set; the computing time increases with its cube.
+# Maximum number of jumps in a group; the computing time increases with its cube.
 MAX_GROUP = 8
 # An additional jump must reduce the residual sum of squares by this factor, more than noise does by chance.
 _MIN_REDUCTION = 5.0

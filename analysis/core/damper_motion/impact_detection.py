@@ -37,7 +37,7 @@ _MIN_VALID_RATIO = 0.5
 RELEASE_DURATIONS = 1.6
 # A jump after an impact may be its release if it is below this fraction of the impact.
 _MAX_RELEASE_RATIO = 0.5
-# Smallest jump after a finite-duration impact, relative to it, that is not a residual of its fit (ringing sensor).
+# A jump after a finite-duration impact, below this fraction of it, may be a residual of its fit: the sensor rings.
 _CONTACT_RESIDUAL_RATIO = 0.15
 # Standard uncertainty of a finite-duration jump due to the model, relative to the largest impact near it.
 _CONTACT_JUMP_UNCERTAINTY = 0.03
@@ -45,7 +45,7 @@ _CONTACT_JUMP_UNCERTAINTY = 0.03
 _CONTACT_TIME_UNCERTAINTY = 0.04
 # Additional standard uncertainty of the time due to the same impact, relative to a sample interval.
 _CONTACT_SAMPLE_UNCERTAINTY = 0.05
-# Number of samples until 90 % of an impact pulse; faster samples are averaged, because more do not improve the fit.
+# Number of samples until 90 % of an impact pulse; at higher rates, samples are averaged: more do not improve the fit.
 _PULSE_SAMPLES = 8
 # Lowest frequency of the band in which the motion of a body is determined, below the modes of most structures.
 _LOW_HZ = 2.0
@@ -116,7 +116,7 @@ class Impacts:
 
     @property
     def masked_share(self) -> float:
-        """An impact below this fraction of a previous impact may be missed while the channel still rings."""
+        """Fraction of a previous impact below which an impact may be missed while the channel still rings."""
         return _CONTACT_RESIDUAL_RATIO if self.contact_duration else RESIDUAL_RATIO
 
     @property
@@ -280,7 +280,7 @@ def _valid_samples(rec: Recording, name: str, samples: Array, start: int, settli
 
 
 def _acceleration(samples: Array, impact_samples: Array, info: ChannelInfo, duration: float) -> Array:
-    """Estimate the acceleration at jumps [m/s²] by a polynomial through both sides; NaN too close to the ends."""
+    """Estimate the acceleration at jumps [m/s²] by a polynomial fitted to both sides; NaN too close to the ends."""
     integrations = 2 - MOTIONS.index(info.quantity)
     # The high-pass filters of integrators distort slow motion, so their slow poles and zeros are corrected.
     zeros, poles = (tuple(root for root in roots if abs(root) < info.rate) for roots in (info.zeros, info.poles))

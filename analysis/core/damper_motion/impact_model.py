@@ -1,8 +1,8 @@
 """Response of a channel to a velocity jump of its body, and the matched filters that detect the jump.
 
 A damper's impact causes a *jump* of the body's velocity, and a *step* and a *slope change* of its
-acceleration. The responses of a channel follow from its data sheet. The responses are computed at *sub-sample times*,
-because an impact occurs between samples.
+acceleration. The responses of a channel follow from its data sheet. The responses are computed at *sub-sample
+instants*, because an impact occurs between samples.
 
 Matched filters for a known signal in white noise: S. M. Kay, *Fundamentals of Statistical Signal Processing II:
 Detection Theory*, 1998, ch. 4. Step, slope change and a polynomial for the smooth motion are nuisance signals; the
@@ -30,13 +30,13 @@ _SIDE_SAMPLES = 6
 # Shortest duration of the samples on either side of a jump in velocity and displacement channels, whose noise is large
 # in derivatives.
 _SIDE_TIME_S = 1e-3
-# Largest phase change [rad] of a resonance between two sub-sample times; the interpolation is then accurate.
+# Largest phase change [rad] of a resonance between two sub-sample instants; the interpolation is then accurate.
 _MAX_PHASE_STEP = 0.5
-# Minimum number of sub-sample times in a sample interval, for channels without a fast resonance.
+# Minimum number of sub-sample instants in a sample interval, for channels without a fast resonance.
 _MIN_INSTANTS_PER_SAMPLE = 8
-# The search uses every eighth sub-sample time if the sensor has a resonance.
+# A fit has this number of sub-sample instants for each instant of the search, if the sensor has a resonance.
 _RESONANCE_STRIDE = 8
-# The search uses every fourth sub-sample time with a decimation filter.
+# A fit has this number of sub-sample instants for each instant of the search, with a decimation filter.
 _FILTER_STRIDE = 4
 # Poles above this angular frequency [rad per sample] affect the response to a jump. Slower poles cause only a slow
 # curvature after the jump, which the polynomial represents.
@@ -56,34 +56,35 @@ _RANK_TOLERANCE = 1e-12
 
 
 class UnitResponses(NamedTuple):
-    """Differenced responses to unit jump, step and slope change at one time."""
+    """Differenced responses to unit jump, step and slope change at one instant."""
 
     begin: int
     """Index of the first difference."""
-    units: Array
+    responses: Array
     """Jump of 1 m/s, step of 1 m/s², slope change of 1 m/s³; shape (3, length)."""
     time_derivatives: Array
-    """Derivatives of `units` with respect to the time, per sample; shape (3, length)."""
+    """Derivatives of `responses` with respect to the instant, per sample; shape (3, length)."""
 
 
 @dataclass(frozen=True, eq=False)
 class ImpactModel:
     """Responses to unit velocity jump, acceleration step and slope change, and the filters that estimate them.
 
-    Arrays are differences of successive samples, so the response to a jump is short. The order of the
-    differences is two higher than the number of integrations in the channel. The fit itself is a least-squares fit of
-    the readings, because the noise of the readings is white.
+    `unit_differences` and windows are differences of successive readings, so the response to a jump is short. The order
+    of the differences is two higher than the number of integrations in the channel. The fit itself is a least-squares
+    fit of the readings, because the noise of the readings is white. `responses` and `filters` have the reverse order:
+    slope change, step, jump.
 
-    The arrays have one row for each of 2 `MAX_SHIFT` `instants_per_sample` times. Row g is for a jump
+    The arrays have one row for each of 2 `MAX_SHIFT` `instants_per_sample` instants. Row g is for a jump
     (g + 1/2) / `instants_per_sample` - `MAX_SHIFT` samples after sample 0 of a window.
     """
 
     difference_order: int
     """Order of the differences."""
     instants_per_sample: int
-    """Number of sub-sample times in a sample interval."""
+    """Number of sub-sample instants in a sample interval."""
     search_stride: int
-    """The search uses every n-th sub-sample time, with this n; 1: all."""
+    """The search uses every n-th sub-sample instant, with this n; 1: all."""
     responses: Array
     """Readings in a window after unit slope change, step and jump; shape (3, rows, window + `difference_order`)."""
     filter_order: int
@@ -128,11 +129,7 @@ class ImpactModel:
 
     def _filters_of(self, responses: Array) -> tuple[Array, Array]:
         count = responses.shape[-1]
-        polynomials = legendre_basis(count, self.filter_order)
-        # A single projection leaves rounding errors, because polynomials are much larger than the response to a jump.
-        for _ in range(2):
-            responses = responses - (responses @ polynomials) @ polynomials.T
-        basis, r_factors = _orthogonalize(responses)
+        basis, r_factors = _orthogonalize(_without_polynomial(responses, self.filter_order))
         # By summation by parts, these sums of a basis and the differences give the same outputs as the basis and the
         # responses.
         sums = np.linalg.matrix_power(-np.triu(np.ones((count, count))), self.difference_order)
@@ -152,15 +149,15 @@ class ImpactModel:
 
     @cached_property
     def _coarse_filters(self) -> Array:
-        """Filters at the times that the search uses; shape (3 times, window)."""
+        """Filters at the instants that the search uses; shape (3 instants, window)."""
         rows = self.filters[self.search_stride // 2 :: self.search_stride]
         return np.ascontiguousarray(rows).reshape(-1, self.window_length)
 
     def _amplitudes(self, row: int, outputs: Array) -> Array:
-        """Return jump, step and slope change of filter outputs at a row."""
+        """Return jump, step and slope change from the filter outputs of a row."""
         return np.asarray(np.linalg.solve(self.r_factors[row], outputs)[::-1], dtype=np.float64)
 
-    def templates(self, rows: NDArray[np.intp]) -> Array:
+    def responses_in_window(self, rows: NDArray[np.intp]) -> Array:
         """Return responses to unit jump, step and slope change without smooth motion, shape (rows, 3, window)."""
         begin = self.window_start - self.unit_start
         return self.readings(self.unit_differences[rows, :, begin : begin + self.window_length])
@@ -182,36 +179,33 @@ class ImpactModel:
 
     @cached_property
     def noise_gain(self) -> float:
-        """Largest standard uncertainty of a jump over the sub-sample times [m/s] for readings with unit noise."""
+        """Largest standard uncertainty of a jump at any sub-sample instant [m/s] for readings with unit noise."""
         middle = slice(MAX_SHIFT * self.instants_per_sample, (MAX_SHIFT + 1) * self.instants_per_sample)
         return float(1.0 / self._filters_of(self.responses[:, middle])[1][:, 2, 2].min())
 
     @cached_property
-    def template_norm(self) -> float:
+    def jump_norm(self) -> float:
         """Root sum of squares of the response to a 1 m/s jump in the middle of a window."""
         window = np.zeros(self.window_length)
         unit = self.unit_responses_at(self.difference_order - self.window_start + 0.5)
         low, begin = max(0, -unit.begin), max(unit.begin, 0)
-        inside = unit.units[0, low : low + self.window_length - begin]
+        inside = unit.responses[0, low : low + self.window_length - begin]
         window[begin : begin + inside.size] = inside
         return float(np.linalg.norm(self.readings(window)))
 
     def polynomial_order_for(self, length: int) -> int:
-        """Return the polynomial order for `length` differences: higher if they exceed a window."""
+        """Return the polynomial order for `length` differences: higher if `length` exceeds a window."""
         return self.polynomial_order + max(
             0, (self.polynomial_order - 1) * (length - self.window_length) // self.window_length
         )
 
     def readings(self, differences: Array, order: int | None = None) -> Array:
-        """Integrate differences to readings, and subtract the smooth motion of an `order`; shape (..., differences)."""
-        length = differences.shape[-1]
+        """Integrate differences to readings, and subtract the best polynomial of an `order`; (..., differences)."""
         for _ in range(self.difference_order):
             differences = np.cumsum(differences, axis=-1)
-        polynomials = legendre_basis(length, self.polynomial_order_for(length) if order is None else order)
-        # A single projection leaves rounding errors, because polynomials are much larger than the response to a jump.
-        for _ in range(2):
-            differences = differences - (differences @ polynomials) @ polynomials.T
-        return differences
+        return _without_polynomial(
+            differences, self.polynomial_order_for(differences.shape[-1]) if order is None else order
+        )
 
     def locate(self, time: Array | float) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
         """Return the sample before a `time` [samples], the preceding row, and the weight of the following row."""
@@ -221,7 +215,7 @@ class ImpactModel:
         return sample.astype(np.intp), row.astype(np.intp), np.asarray(position - row)
 
     def unit_responses_at(self, time: float) -> UnitResponses:
-        """Return the differenced responses to unit jump, step and slope change at a time, in samples."""
+        """Return the differenced responses to unit jump, step and slope change at a time [samples]."""
         sample, row, weight = self.locate(np.float64(time))
         left, right = self.unit_differences[row], self.unit_differences[row + 1]
         return UnitResponses(
@@ -240,7 +234,7 @@ class ImpactModel:
         stride = self.search_stride
         coarse_outputs = (self._coarse_filters @ window).reshape(-1, 3)
         coarse_row = int(np.argmax(np.einsum("ij,ij->i", coarse_outputs, coarse_outputs))) * stride + stride // 2
-        # All sub-sample times around the best time of the coarse search.
+        # All sub-sample instants around the best instant of the coarse search.
         first_row = max(coarse_row - stride, 0)
         filters = self.filters[first_row : coarse_row + stride + 1]
         outputs = (filters.reshape(-1, self.window_length) @ window).reshape(-1, 3)
@@ -273,6 +267,15 @@ def legendre_basis(length: int, degree: int) -> Array:
     """Return an orthonormal polynomial basis, shape (length, degree + 1); leading columns span the lower degrees."""
     basis = np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, length), degree)
     return np.asarray(np.linalg.qr(basis)[0], dtype=np.float64)
+
+
+def _without_polynomial(rows: Array, order: int) -> Array:
+    """Subtract from rows (..., length) their best polynomials of an order."""
+    polynomials = legendre_basis(rows.shape[-1], order)
+    # A single projection leaves rounding errors, because polynomials are much larger than the response to a jump.
+    for _ in range(2):
+        rows = rows - (rows @ polynomials) @ polynomials.T
+    return rows
 
 
 def impact_models(info: ChannelInfo, pulse: Pulse | None = None, decimation: int = 1) -> tuple[ImpactModel, ...]:
@@ -319,6 +322,7 @@ def _impact_models(
     responses = _acceleration_responses(
         info, integrations, instants_per_sample, before + margin, until_decayed, pulse, decimation
     )
+    # A second difference belongs to the last of its three samples: the first to sample 3 - `before` - `margin`.
     unit_differences = np.diff(responses, 2, axis=-1) / rate**integrations
     in_window = responses[..., margin : margin + before + after]
     readings = np.concatenate([np.zeros((*in_window.shape[:-1], integrations)), in_window], axis=-1)

@@ -68,13 +68,13 @@ class Deviations(NamedTuple):
 def add_jump(residual: Array, model: ImpactModel, jump: Jump, factor: float) -> None:
     """Add a multiple of a jump to the differenced readings."""
     unit = model.unit_responses_at(jump.time)
-    _add_row(residual, unit.begin, factor * (jump.amplitudes @ unit.units))
+    _add_row(residual, unit.begin, factor * (jump.amplitudes @ unit.responses))
 
 
 def fit_group(
     residual: Array, model: ImpactModel, group: Sequence[Jump], noise: Deviations
 ) -> tuple[list[Jump], float]:
-    """Fit jumps jointly to the readings without all others (`residual`); return jumps and residual sum of squares."""
+    """Fit jumps jointly to `residual`, the readings minus all other jumps; return them and the sum of squares."""
     return fit_within(residual, model, group, range_of(group, model, residual.size), noise)
 
 
@@ -129,15 +129,15 @@ def estimate_errors(
     amplitudes = np.array([jump.amplitudes for jump in jumps])
     windows = np.lib.stride_tricks.sliding_window_view(residual, model.window_length)
     residual_windows = windows[np.clip(sample + model.window_start - model.difference_order, 0, len(windows) - 1)]
-    units = model.templates(row)
-    change = model.templates(row + 1) - units
-    units = units + weight[:, None, None] * change
-    readings = model.readings(residual_windows, model.polynomial_order) + np.einsum("ji,jil->jl", amplitudes, units)
+    responses = model.responses_in_window(row)
+    change = model.responses_in_window(row + 1) - responses
+    responses = responses + weight[:, None, None] * change
+    readings = model.readings(residual_windows, model.polynomial_order) + np.einsum("ji,jil->jl", amplitudes, responses)
     ridge = np.zeros((len(jumps), 4))
     ridge[:, 1], ridge[:, 2] = noise / prior[0], noise / prior[1]
-    first_estimate = _least_squares(units, readings, ridge[:, :3]).solution
+    first_estimate = _least_squares(responses, readings, ridge[:, :3]).solution
     time_derivatives = np.einsum("ji,jil->jl", first_estimate, change) * model.instants_per_sample
-    fit = _least_squares(np.concatenate([units, time_derivatives[:, None]], axis=1), readings, ridge)
+    fit = _least_squares(np.concatenate([responses, time_derivatives[:, None]], axis=1), readings, ridge)
     # The polynomial has `polynomial_order` + 1 coefficients, the jump four unknowns.
     degrees_of_freedom = model.window_length - model.polynomial_order - 5
     error = (np.maximum(noise, np.sqrt(fit.residual_square / degrees_of_freedom))[:, None]) * fit.error
@@ -194,7 +194,7 @@ def _regressors(model: ImpactModel, times: Array, amplitudes: Array | None, firs
     regressors = np.zeros((per_jump * times.size, last - first))
     for k, time in enumerate(times):
         unit = model.unit_responses_at(time)
-        for row, response in enumerate(unit.units):
+        for row, response in enumerate(unit.responses):
             _add_row(regressors[per_jump * k + row], unit.begin - first, response)
         if amplitudes is not None:
             _add_row(regressors[per_jump * k + 3], unit.begin - first, amplitudes[k] @ unit.time_derivatives)

@@ -225,7 +225,7 @@ class MatchingPursuit:
         return min(max(int(np.floor(jump.time)) - self.window_offset, 0), self.residual.size - self.model.window_length)
 
     def _refine(self, jump: Jump, noise: Array, starts: tuple[float, ...] = (0.0,)) -> None:
-        """Fit a jump jointly with overlapping jumps, best of the times `starts`; remove it if it is not needed."""
+        """Fit a jump jointly with overlapping jumps, from the best of the times `starts`; remove a superfluous jump."""
         model = self.model
         group = [other for other in self.jumps if abs(other.time - jump.time) < model.min_separation]
         if len(group) == 1 and not self._step_exceeds_weight(jump):
@@ -251,7 +251,7 @@ class MatchingPursuit:
         self._replace(group, fit_group(self.residual, model, best_jumps, prior)[0])
 
     def _replace(self, old: list[Jump], new: list[Jump]) -> None:
-        """Replace jumps that were added back to the residual."""
+        """Replace `old` jumps, which were added back to the residual, by `new` jumps, which are subtracted."""
         self.jumps = [jump for jump in self.jumps if all(jump is not other for other in old)] + new
         for jump in new:
             self._add(jump, -1.0)
@@ -305,7 +305,7 @@ class MatchingPursuit:
     def _unexplained_segments(self, jump_size: float) -> list[tuple[int, int]]:
         """Return the first and the last window of each segment whose residual exceeds that of a velocity jump [m/s]."""
         first = self._windows()
-        squares, jump_norm = self._residual_squares(self.window_model.polynomial_order), self.window_model.template_norm
+        squares, jump_norm = self._residual_squares(self.window_model.polynomial_order), self.window_model.jump_norm
         is_above = squares > (jump_size * jump_norm) ** 2
         return [(int(first[begin]), int(first[end - 1])) for begin, end in runs_of(is_above)]
 
@@ -317,7 +317,7 @@ class MatchingPursuit:
             begin, end = first + self.window_offset - half_window, last + self.window_offset + half_window
             inside = [abs(jump.velocity_jump) for jump in self.jumps if begin <= jump.time < end]
             residual_norm = np.linalg.norm(model.readings(self.residual[first : last + model.window_length]))
-            if residual_norm > _UNRESOLVED_JUMP_RATIO * max(inside, default=0.0) * model.template_norm:
+            if residual_norm > _UNRESOLVED_JUMP_RATIO * max(inside, default=0.0) * model.jump_norm:
                 limits.append((begin, end))
         limits += [
             (jump.time - half_window, jump.time + half_window)
@@ -345,7 +345,7 @@ class MatchingPursuit:
         old_jumps = [jump for jump in self.jumps if time_range[0] <= jump.time <= time_range[1]]
         for jump in old_jumps:
             self._add(jump, 1.0)
-        sufficient = _SUFFICIENT_RATIO * (limit * model.template_norm) ** 2
+        sufficient = _SUFFICIENT_RATIO * (limit * model.jump_norm) ** 2
         # The tolerated residual is included in the noise; otherwise the residual would be fitted by steps and slope
         # changes.
         noise = max(float(self.noise()[first]), (sufficient / model.window_length) ** 0.5)

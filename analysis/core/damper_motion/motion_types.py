@@ -3,7 +3,7 @@
 A damper moves in a cavity of its body, between floor and ceiling. The types are those of Inoue, Yokomichi and Hiraki
 (2011). Riding: the bed is at rest on the floor. Type I: one floor impact per period. Types II and III: one impact on
 each of floor and ceiling per period; the damper leaves the ceiling immediately (II), or stays there until the
-acceleration of the body rises to -g (III). Other patterns are described by their numbers of impacts.
+acceleration of the body rises to -g (III). Other motions are described by their numbers of impacts per period.
 """
 
 from collections.abc import Sequence
@@ -24,32 +24,37 @@ from analysis.core.responses.stepped_sine import Sweep
 from daq.core.recording.recording import Recording
 from rig.core.base.arrays import Array
 from rig.core.base.progress import CountProgress
+from rig.core.base.renamed import renamed
 from rig.core.results import format_frequencies
 from rig.core.results.response import MOTIONS
 from rig.core.results.table import Table
 from rig.core.results.uncertainty import expand
 from rig.core.scene.damper import Damper
 
-# Tolerance of one impact per period: one or two of about twenty are at an end or too close to another impact.
+# Allowed deviation from one impact per period: of about twenty impacts, one or two may be missed, because they are at
+# an end of the window or too close to another impact.
 _COUNT_TOLERANCE = 0.15
-# A pattern of impacts must recur after at most this number of periods; by chance, longer patterns recur in any motion.
-_MAX_PATTERN_PERIODS = 4
+# Maximum number of periods of a cycle; by chance, longer cycles seem to repeat in any motion.
+_MAX_CYCLE_PERIODS = 4
 # A restitution differs significantly from zero above this number of standard uncertainties; a true value of zero does
 # so by chance with a probability of 0.1 %.
 _RESTITUTION_SIGMAS = 3.0
 # Maximum number of samples of a window that are searched, to limit the memory.
 _MAX_SEARCHED_SAMPLES = 1 << 20
-# Number of periods that are searched even if they contain more samples: five recurrences of the longest pattern.
+# Number of periods that are searched even if they contain more samples: five repetitions of the longest cycle.
 _MIN_SEARCHED_PERIODS = 20
 
-# Printed descriptions of the motions by name (`DamperMotion.name`).
-_AT_REST = "at rest on the floor"
-_NEAR_GRAVITY = "near 1 g, may fly"
-_IRREGULAR = "irregular, or impacts missed"
-# Impacts once a period: Type I at the floor; II at floor and ceiling; III as II, with a stay at the ceiling.
+#: Printed descriptions of motions by name (`DamperMotion.name`), in tables and legends.
+MOTION_TEXTS = {
+    "riding": "at rest on the floor",
+    "unseen": "near 1 g: may fly, with impacts below the detection limit",
+    "uncertain": "irregular, or impacts missed",
+}
+_AT_REST, _NEAR_GRAVITY = MOTION_TEXTS["riding"], MOTION_TEXTS["unseen"]
+# One impact per period: Type I on the floor; II on floor and ceiling; III as II, with a stay at the ceiling.
 _TYPES = ("Type I", "Type II", "Type III")
-_OTHER = "other patterns, or irregular"
-# Maximum number of rows of a body's moving dampers; further irregular and other patterns share a row.
+_OTHER = "other cycles of impacts, or irregular"
+# Maximum number of rows of a body's moving dampers; further irregular motions and other cycles share a row.
 _MAX_KINDS = 3
 
 
@@ -76,20 +81,22 @@ class DamperMotion:
     """
     restitution: Restitution | None = None
     """Coefficient of restitution, if the body has a single damper and its impacts determine it."""
-    pattern_periods: int = 1
-    """Number of periods after which all impacts recur within the time resolution of the channel; 0: no recurrence."""
+    cycle_periods: int = 1
+    """Number of periods in a cycle of impacts, which repeats within the time resolution of the channel; 0: none."""
     may_reach_ceiling_unseen: bool = False
     """Whether the damper may reach the ceiling with impacts that are too weak to be detected."""
+
+    pattern_periods = renamed("pattern_periods", "cycle_periods")
 
     @property
     def impacts_per_period(self) -> tuple[float, float]:
         """Numbers of impacts on floor and ceiling per period; NaN if impacts may have been missed.
 
-        The ends of the search may add or omit an impact. Recurring impacts are whole numbers in their pattern.
+        The ends of the search may add or omit an impact; a cycle has a whole number of impacts.
         """
-        if not self.pattern_periods:
+        periods = self.cycle_periods
+        if not periods:
             return np.nan, np.nan
-        periods = self.pattern_periods
         return round(self.floor * periods) / periods, round(self.ceiling * periods) / periods
 
     @property
@@ -97,20 +104,20 @@ class DamperMotion:
         """Type of motion, in the terms of Inoue, Yokomichi, Hiraki (2011) if they apply."""
         if self.floor == 0 and self.ceiling == 0:
             return "riding" if self.stays_on_floor else "unseen"
-        if not self.pattern_periods:
-            return "uncertain: impacts are missed, or the motion is irregular"
+        if not self.cycle_periods:
+            return f"uncertain: {MOTION_TEXTS['uncertain']}"
         once_per_period = abs(self.floor - 1.0) < _COUNT_TOLERANCE and (
             self.ceiling == 0 or abs(self.ceiling - 1.0) < _COUNT_TOLERANCE
         )
-        uncertainty = ""
-        if once_per_period and self.pattern_periods == 1:
+        possible_types = ""
+        if once_per_period and self.cycle_periods == 1:
             if self.ceiling == 0 and not self.may_reach_ceiling_unseen:
                 return "I"
             if self.ceiling and self.stays_at_ceiling is not None:
                 return "III" if self.stays_at_ceiling else "II"
-            uncertainty = ", staying or not" if self.ceiling else ", and perhaps weak impacts on the ceiling"
+            possible_types = ", Type II or III" if self.ceiling else ", Type I or weak impacts on the ceiling"
         floor, ceiling = self.impacts_per_period
-        return f"other: {floor:.3g} floor and {ceiling:.3g} ceiling impacts a period{uncertainty}"
+        return f"other: {floor:.3g} floor and {ceiling:.3g} ceiling impacts per period{possible_types}"
 
 
 def motion_table(bodies: Sequence[list[DamperMotion]], omitted: Sequence[float] = ()) -> Table:
@@ -138,10 +145,9 @@ def _motion_rows(motions: list[DamperMotion], omitted: Sequence[float]) -> list[
 
 
 def _kind(motion: DamperMotion) -> str:
-    """Translate a motion name into printed text."""
+    """Return the printed description of a motion."""
     kind, _, counts = motion.name.partition(": ")
-    printed_names = {"riding": _AT_REST, "unseen": _NEAR_GRAVITY, "uncertain": _IRREGULAR, "other": counts}
-    return printed_names.get(kind, f"Type {kind}")
+    return counts if kind == "other" else MOTION_TEXTS.get(kind, f"Type {kind}")
 
 
 def damper_motion(
@@ -149,11 +155,11 @@ def damper_motion(
 ) -> list[DamperMotion]:
     """Estimate the motion of the dampers in the body of a channel in every measurement window.
 
-    Several dampers in a body are treated as one. A type is assigned if the impacts recur every period. Impacts are
-    counted if they recur after a few periods; otherwise some were missed, or the motion is irregular. Riding
+    Several dampers in a body are treated as one. A type is assigned if the impacts repeat every period. Impacts are
+    counted if they repeat after a few periods; otherwise some were missed, or the motion is irregular. Riding
     requires that the body's acceleration stays above -g, because short flights may be undetectable. Type I requires
     flights that stay below the ceiling. In a long window only the first million samples are searched, but at least
-    enough periods to determine a pattern.
+    enough periods to determine a cycle.
 
     `rec`: recording of a stepped-sine test; `sweep`: result of `analysis.core.responses.stepped_sine.sweeps`;
     `channel`: channel on the body of the dampers. Returns the motion in each window.
@@ -188,9 +194,9 @@ def _motion_in_window(motion: BodyMotion, numbers: list[int], frequency: float, 
     searched_periods = detected.searched_duration * frequency
     is_at_ceiling = detected.wall == "ceiling"
     begin, end = motion.start / rate, (motion.start + motion.samples.size) / rate
-    pattern_periods = _recurrence_periods(detected, frequency, begin, end) if detected.time.size else 1
-    # Without a pattern, impacts may have been missed, so free flights cannot be identified.
-    estimate = restitution(motion, dampers[0]) if len(dampers) == 1 and pattern_periods else None
+    cycle_periods = _cycle_periods(detected, frequency, begin, end) if detected.time.size else 1
+    # Without a cycle, impacts may have been missed, so free flights cannot be identified.
+    estimate = restitution(motion, dampers[0]) if len(dampers) == 1 and cycle_periods else None
     stays_at_ceiling = None
     if is_at_ceiling.any():
         stays_at_ceiling = _stays_at_ceiling(
@@ -208,27 +214,27 @@ def _motion_in_window(motion: BodyMotion, numbers: list[int], frequency: float, 
         detected.threshold,
         _min_acceleration(motion, numbers, frequency) > -gravity,
         estimate,
-        pattern_periods,
+        cycle_periods,
         not is_at_ceiling.any() and any(may_reach_ceiling(motion, damper) for damper in dampers),
     )
 
 
-def _recurrence_periods(detected: Impacts, frequency: float, begin: float, end: float) -> int:
-    """Return the smallest number of periods after which all impacts recur between two times [s]; 0: no recurrence."""
+def _cycle_periods(detected: Impacts, frequency: float, begin: float, end: float) -> int:
+    """Return the smallest number of periods after which all impacts between two times [s] repeat; 0 if they do not."""
     walls = [detected.time[detected.wall == wall] for wall in ("floor", "ceiling")]
     begin, end = begin + detected.ringing, end - detected.ringing
     if any(times.size and not np.any((times > begin) & (times < end)) for times in walls):
         return 0
     unsearched = detected.unsearched + np.array([-1.0, 1.0]) * detected.resolution
-    for periods in range(1, _MAX_PATTERN_PERIODS + 1):
+    for periods in range(1, _MAX_CYCLE_PERIODS + 1):
         shift = periods / frequency
-        recurs = True
+        repeats = True
         for impact_times, expected in ((times, times + sign * shift) for times in walls for sign in (1.0, -1.0)):
             expected = expected[(expected > begin) & (expected < end), None]
             searched = ~((expected > unsearched[:, 0]) & (expected < unsearched[:, 1])).any(axis=1)
             distance = abs(expected[searched] - impact_times).min(axis=1, initial=np.inf)
-            recurs &= bool(np.all(distance < detected.resolution))
-        if recurs:
+            repeats &= bool(np.all(distance < detected.resolution))
+        if repeats:
             return periods
     return 0
 
@@ -236,9 +242,10 @@ def _recurrence_periods(detected: Impacts, frequency: float, begin: float, end: 
 def _stays_at_ceiling(apparent_gravity: Array, error: float, rebound_speed: float, push_time: float) -> bool | None:
     """Return whether a damper stays at the ceiling after impacts; None if undetermined.
 
-    `apparent_gravity`: acceleration of the body plus g at each impact [m/s²]; `error`: limit of its error [m/s²]. The
-    ceiling pushes for `push_time` s. After a rebound of at most `rebound_speed` m/s the damper stays if it returns in
-    this time. If the acceleration falls linearly from a to 0 in a time t, a rebound slower than a t / 3 returns.
+    `apparent_gravity`: acceleration of the body plus g at each impact [m/s²]; `error`: limit of its error [m/s²];
+    `rebound_speed`: fastest rebound [m/s]; `push_time`: time for which the ceiling pushes [s]. The damper stays if it
+    returns within this time. While the relative acceleration falls linearly from a to 0 within a time t, a mass that
+    rebounds at less than a t / 3 returns.
     """
     finite = apparent_gravity[np.isfinite(apparent_gravity)]
     median = float(np.median(finite)) if finite.size else 0.0
@@ -251,8 +258,8 @@ def _stays_at_ceiling(apparent_gravity: Array, error: float, rebound_speed: floa
 
 def _fastest_rebound(motion: BodyMotion, dampers: list[Damper], estimate: Restitution | None) -> float:
     """Return an upper bound of the rebound speed at the ceiling, summed over all bounces [m/s]."""
-    # The restitution estimated from flights is used if it differs significantly from zero, otherwise the scene's. For
-    # finite-duration contact the release is unknown.
+    # The restitution estimated from flights replaces the scene's if the scene's is above zero or the estimate differs
+    # significantly from zero. The release of finite-duration contact is unknown.
     detected = motion.impacts
     if detected.contact_duration:
         return np.inf

@@ -262,7 +262,7 @@ def _noise(analytic: ComplexArray, rate: float, frequency: float, width: float) 
 
 
 def _log_decay_envelope(envelope: Array) -> Array:
-    """Return the logarithm of the largest later amplitude; this curve is monotonic, so it crosses each value once."""
+    """Return the logarithm of the largest amplitude from each sample on: it never rises, and crosses a value once."""
     return np.log(np.maximum(np.maximum.accumulate(envelope[::-1])[::-1], 1e-300))
 
 

@@ -16,7 +16,7 @@ COPIES = 15.0
 
 
 def correct_motion(info: ChannelInfo, samples: Array, motion: str, low: float, high: float) -> Array:
-    """Return the band-limited true displacement, velocity or acceleration of a segment in SI; force channels: force.
+    """Return displacement, velocity, acceleration or force of a segment [SI], corrected, and limited to a band.
 
     The samples are mirrored at both ends before the Fourier transform, so the periodic continuation has no step
     between the last sample and the first. If the samples are differentiated, the mirror image is also inverted (odd
@@ -69,6 +69,7 @@ def _derivative_order(info: ChannelInfo, motion: str) -> int:
 
 def _filtered(info: ChannelInfo, spectrum: ComplexArray, size: int, order: int, low: float, high: float) -> Array:
     """Return samples from their spectrum, which is corrected in place; `order`: number of differentiations."""
+    # As in `fft.rfftfreq`, with the same rounding.
     step = 1.0 / (size * (1.0 / info.rate))
     for first in range(0, spectrum.size, _BLOCK_LINES):
         block = spectrum[first : first + _BLOCK_LINES]

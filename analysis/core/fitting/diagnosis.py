@@ -340,7 +340,6 @@ def minimize_near(square: Callable[[float], float], delay: float) -> float:
 
 
 def _sensors(linear_curves: list[Curves]) -> list[Sensor]:
-    """Return the sensors of all responses."""
     return list(dict.fromkeys(sensor for curves in linear_curves for sensor in curves.sensors))
 
 

@@ -248,7 +248,7 @@ def _standard_deviations(curves: Sequence[Response]) -> Array:
 
 
 def _local_median(error: Array, degrees_of_freedom: Array) -> Array:
-    """Return the median uncertainty of neighboring lines, or 0 if each line has `_MIN_DEGREES` or an unknown number."""
+    """Return the median uncertainty of neighboring lines; 0 if degrees of freedom are sufficient or unknown."""
     # Errors estimated from few segments may be close to zero by chance, and such lines would dominate the fit.
     median_degrees = float(np.median(degrees_of_freedom))
     if not 0.0 < median_degrees < _MIN_DEGREES:

@@ -35,8 +35,8 @@ def exchange_points(curves: Sequence[Response]) -> Response:
     lines = reduce(np.intersect1d, [curve.frequency for curve in curves])
     if lines.size < _MIN_LINES:
         raise RecordingError(
-            f"roving hammer: the curves have {lines.size} frequencies in common, too few for modes. Record impacts "
-            "with equal sample rates and intervals."
+            f"roving hammer: the curves have {lines.size} frequencies in common, too few for modes. Record all impacts "
+            "with the same sample rate, and for the same time after each impact (test.interval)."
         )
     exchanged = [
         replace(

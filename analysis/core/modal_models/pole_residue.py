@@ -42,7 +42,7 @@ class Curves:
 
     @property
     def n_values(self) -> int:
-        """Count the measured real numbers."""
+        """Number of measured real numbers: two for each line of each response."""
         return 2 * self.value.size
 
     @property

@@ -75,13 +75,12 @@ def frequency_responses(
     if not names:
         raise RecordingError(f"{rec.path}: no channel measures a body's motion. Add one to the scene's channels.")
     own_estimator = estimator_of(kind)
-    unused = ", ".join(
-        name for name, value in vars(blocks).items() if value is not None and name not in own_estimator.options
-    )
+    unused = [name for name, value in vars(blocks).items() if value is not None and name not in own_estimator.options]
     if unused:
         has_responses = kind.drives and kind is not TestKind.NONE
         method = own_estimator.method if has_responses else rec.test.name
-        raise SceneError(f"{rec.path}: {unused} has no effect ({method}). Omit it.")
+        verb, pronoun = ("has", "it") if len(unused) == 1 else ("have", "them")
+        raise SceneError(f"{rec.path}: {', '.join(unused)} {verb} no effect ({method}). Omit {pronoun}.")
     measured = [marker for marker in rec.markers if marker.kind == "measure"]
     if kind.marked and not measured:
         raise RecordingError(f"{rec.path}: the test ended before its first measurement. Record it again.")

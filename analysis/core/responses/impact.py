@@ -105,7 +105,6 @@ def _compute(request: Request) -> list[Response]:
 
 
 def _parts(request: Request) -> list[Parts]:
-    """Return the responses to the impacts."""
     impacts = HammerImpacts.of(request.rec)
     begins = np.array([begin for begin, _ in impacts.arrivals])
     pretrigger = int(min(impacts.interval // _BLOCK_PER_PRETRIGGER, begins[0]))

@@ -136,7 +136,7 @@ class Lines:
     def _rows_of(
         self, names: Sequence[str], reference: Measurand
     ) -> tuple[ComplexArray, Scatter, Scatter, Array | None, Array | None]:
-        """Return mean, scatter, noise, residual transient and resolution of channels, as far as due to a reference."""
+        """Return mean, scatter, noise, residual transient and resolution of channels, due to one reference."""
         first = self.inputs.index(reference.channels[0]) * len(self.channels) if self.inputs else 0
         rows = [first + self.channels.index(name) for name in names]
         scatter, noise = (

@@ -310,7 +310,6 @@ def _resolution(rec: Recording, names: Sequence[str], mean: ComplexArray, noise:
 
 
 def _compute(request: Request) -> list[Response]:
-    """Estimate the response of each requested sweep."""
     selected = _selected_sweeps(request)
     responses = request.compute(sweep.lines for sweep in selected)
     return [_add_simultaneous(response, sweep.windows) for response, sweep in zip(responses, selected, strict=True)]

@@ -296,7 +296,6 @@ def _sample_at(marker: Marker, frequency: float, rate: float) -> float:
 
 
 def _compute(request: Request) -> list[Response]:
-    """Estimate the response of each sweep."""
     return request.compute(
         sweep_spectra(request.rec, marker, request.channels, request.progress) for marker in request.measured
     )

@@ -104,7 +104,7 @@ def draw_common_error(ax: Axes, *columns: Array) -> None:
         ax.vlines(at, max(value - expanded, 0.0), value + expanded, colors=_COMMON_COLOR, lw=5.0, zorder=1)
 
 
-def common_error_text(value: Array, own: Array, expanded: Array) -> str:
+def common_error_text(value: Array, own: Array, expanded: Array, points: str = "all points") -> str:
     """Write that bars in a figure exclude the errors of the sensors, and the largest relative interval with them.
 
     >>> common_error_text(np.array([1.0, 2.0]), np.array([0.01, 0.02]), np.array([0.05, 0.1]))
@@ -112,6 +112,6 @@ def common_error_text(value: Array, own: Array, expanded: Array) -> str:
     """
     largest = float(np.nanmax(expanded / value, initial=0.0, where=own < expanded))
     return (
-        "Bars exclude the tolerances of the sensors, which all points share; with them, 95 % intervals are up to "
+        f"Bars exclude the tolerances of the sensors, which {points} share; with them, 95 % intervals are up to "
         f"± {format_percent(largest)}."
     ) * (largest > 0.0)

@@ -49,13 +49,11 @@ def write_mat(segment: Slice, path: Path) -> None:
 
 
 def write_frfs(response: Response, path: Path) -> None:
-    """Write ``frequency`` [Hz], ``unit``, ``reference``, and value, bound and coherence of each element."""
+    """Write ``frequency`` [Hz], ``unit``, ``reference``, and value, bound and coherence of each curve."""
     curves = response.sorted().curves()
     has_several_inputs = len(response.inputs) > 1
-    elements = [
-        f"{curve.response}_{curve.inputs[0].name}" if has_several_inputs else curve.response for curve in curves
-    ]
-    names = variable_names(elements, {"frequency", "unit", "reference", "channels"})
+    labels = [f"{curve.response}_{curve.inputs[0].name}" if has_several_inputs else curve.response for curve in curves]
+    names = variable_names(labels, {"frequency", "unit", "reference", "channels"})
     content: dict[str, Any] = {"frequency": curves[0].frequency, "unit": response.unit, "reference": response.input}
     for name, curve in zip(names, curves, strict=True):
         content |= {name: curve.value, f"bound_{name}": curve.bound(), f"coherence_{name}": curve.coherence}

@@ -49,7 +49,7 @@ def read_modes(path: str | Path) -> Modes:
     nodes = [int(node) for node in sets[0]["node_nums"]]
     if any([int(node) for node in data_set["node_nums"]] != nodes for data_set in sets):
         raise RecordingError(f"{file}: its modes have different nodes. Export all modes with the same nodes.")
-    shapes, names = _shapes(sets, nodes)
+    shapes, names = _shapes(file, sets, nodes)
     poles = np.array([_pole(data_set) for data_set in sets])
     order = np.argsort(abs(poles))
     poles, shapes = poles[order], shapes[:, order]
@@ -57,7 +57,7 @@ def read_modes(path: str | Path) -> Modes:
     return Modes(
         frequency=np.asarray(abs(poles) / (2.0 * np.pi), dtype=np.float64),
         frequency_std=unknown,
-        damping=0.0 - poles.real / abs(poles),
+        damping=0.0 - poles.real / abs(poles),  # an undamped mode has 0.0, not -0.0
         damping_std=unknown,
         shape_std=np.full(shapes.shape, np.nan),
         residue=shapes,
@@ -71,7 +71,9 @@ def read_modes(path: str | Path) -> Modes:
     )
 
 
-def _shapes(sets: Sequence[Mapping[str, Any]], nodes: Sequence[int]) -> tuple[ComplexArray, tuple[str, ...]]:
+def _shapes(
+    file: Path, sets: Sequence[Mapping[str, Any]], nodes: Sequence[int]
+) -> tuple[ComplexArray, tuple[str, ...]]:
     """Return the shapes, shape (points, modes), and the names of the points that move."""
     rows, names = [], []
     for number, component in enumerate(_COMPONENTS, 1):
@@ -83,7 +85,7 @@ def _shapes(sets: Sequence[Mapping[str, Any]], nodes: Sequence[int]) -> tuple[Co
                 rows.append(row)
                 names.append(f"{node} {direction(number)}")
     if not rows:
-        raise RecordingError("the mode shapes are zero at all nodes. Export the modes again.")
+        raise RecordingError(f"{file}: the mode shapes are zero at all nodes. Export the modes again.")
     return np.array(rows), tuple(names)
 
 
@@ -91,5 +93,6 @@ def _pole(data_set: Mapping[str, Any]) -> complex:
     """Return the pole [rad/s] of a mode: the eigenvalue, or the pole for natural frequency and viscous damping."""
     if int(data_set["analysis_type"]) == _COMPLEX:
         return complex(data_set["eig"])
+    # The formula of the pole is valid for damping ratios from 0 to 1.
     damping = min(max(float(data_set["modal_damp_vis"]), 0.0), 1.0)
     return complex(2.0 * np.pi * float(data_set["freq"]) * (-damping + 1j * np.sqrt(1.0 - damping**2)))

@@ -56,7 +56,6 @@ def write_uff(segment: Slice, path: Path) -> None:
 
 
 def _write_pieces(file: BinaryIO, fields: dict[str, Any], count: int, pieces: Iterator[Array]) -> None:
-    """Write a data set 58 in pieces."""
     # pyuff would write the whole data set as one text, and reads the whole file after each data set.
     import pyuff
 

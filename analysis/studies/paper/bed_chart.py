@@ -29,7 +29,7 @@ _COLOR_LIMIT = 40.0
 
 
 def beds(parts: Parts) -> Figure:
-    """Draw the deviation of a granular bed at 50 Hz from the single-mass model, for both kinds of contact, by depth."""
+    """Draw the deviation of grains from the single mass at 50 Hz, for both kinds of contact, by number of layers."""
     data = at_shaking_frequency(parts["beds"])
     layers = np.unique(data["layers"])
     contact = fit_contact(with_ceiling(data), parts["contacts"])
@@ -62,7 +62,10 @@ def beds(parts: Parts) -> Figure:
 
 
 def modes(parts: Parts) -> Figure:
-    """Draw the deviation of the compliance from the single-mass model at the other resonances, by depth."""
+    """Draw the deviation of the compliance with grains from that with a single mass, by number of layers.
+
+    The frequencies are those of all studied modes but the mode at 50 Hz.
+    """
     other_modes = select(parts["beds"], parts["beds"]["frequency"] != FREQUENCY)
     frequencies, layers = np.unique(other_modes["frequency"]), np.unique(other_modes["layers"])
     with new_figure(2.3 * len(layers), 4.0 * len(frequencies)) as figure:

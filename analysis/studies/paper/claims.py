@@ -259,7 +259,7 @@ def _c3(parts: Parts) -> Claim:
 
 
 def _largest(lower: np.ndarray, upper: np.ndarray) -> str:
-    """Return the number, from 1, of the largest of some values between limits; "undetermined" if they overlap.
+    """Return the number, from 1, of the largest value; "undetermined" if its interval overlaps another interval.
 
     >>> _largest(np.array([0.1, 0.3]), np.array([0.2, np.inf])), _largest(np.array([0.1, 0.3]), np.array([0.4, 0.5]))
     ('2', 'undetermined')

@@ -1,4 +1,4 @@
-"""Encodes protobuf messages without the protobuf package, and describes their types for MCAP."""
+"""Encoding of protobuf messages without the protobuf package, and description of their types for MCAP."""
 
 from functools import cache
 from typing import Any, NamedTuple
@@ -49,7 +49,6 @@ def descriptor_set_bytes(package: str, messages: tuple[tuple[str, tuple[tuple[st
 
 
 def _field_descriptor(number: int, name: str, field_type: str) -> bytes:
-    """Return the FieldDescriptorProto of a field."""
     is_repeated, field_type = field_type.endswith("[]"), field_type.removesuffix("[]")
     is_message = "." in field_type
     type_number = _MESSAGE_TYPE if is_message else _FIELD_TYPES[field_type]

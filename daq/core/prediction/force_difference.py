@@ -1,4 +1,4 @@
-"""Predict whether the sensors at the ends of a coil spring resolve the force of the spring.
+"""Prediction whether the sensors at the ends of a coil spring resolve the force of the spring.
 
 The force k0 (x0 - x1) is a small difference of two readings if the spring is stiff: at a resonance of the structure,
 both ends move by many times the extension of the spring. The relative error of the force is then the relative error of

@@ -1,4 +1,4 @@
-"""Predict a test: rehearse the parts that contain its extremes, and compare the extremes with the limits.
+"""Prediction of a test: the parts with its extremes are rehearsed, and the extremes compared with the limits.
 
 A rehearsal simulates the test on the virtual bench without a recording.
 """
@@ -367,7 +367,6 @@ class _Assessment:
         return level, dampers_fly or level > onset
 
     def _duration(self) -> _Duration:
-        """Return the duration of the test."""
         rehearsed_test, test = self.rehearsed_test, test_of(self.scene)
         rehearsed_seconds = sum(part.seconds for part in rehearsed_test.parts)
         if rehearsed_test.is_complete or (rehearsed_test.aborted is not None and len(rehearsed_test.parts) == 1):

@@ -1,4 +1,4 @@
-"""Predict the waits of a stepped sine by running its own procedure on the linear response, with all dampers at rest.
+"""Waits of a stepped sine, predicted by its own procedure on the linear response, with all dampers at rest.
 
 The procedure, its detector of the steady state and its control of the force are those of the test. Only the tone is
 replaced: between changes of the drive, the transient of each mode decays freely, so the amplitudes in a window are

@@ -1,4 +1,4 @@
-"""Choose the parts of a test that are simulated in advance, within a CPU-time budget, to predict the largest readings.
+"""Choice of the parts of a test that are simulated in advance, within a CPU-time budget, to predict its extremes.
 
 Such a simulation is called a rehearsal. A short test is rehearsed completely. A stepped or swept sine is represented by
 its beginning, where sensors have just been switched on, and by the frequencies about the peaks of the linear response.

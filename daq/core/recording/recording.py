@@ -172,7 +172,6 @@ class Recording(Result):
         return f"{self.path}: {self.samples / self.rate:.4g} s of {names} at {self.rate:g} Hz, {status}"
 
     def _repr_html_(self) -> str:
-        """Show the recording and its channels."""
         channels = [f"  {name}: {info.quantity} of {info.at}, {info.unit}" for name, info in self.channels.items()]
         return f"<pre>{escape_html(chr(10).join([self.summary(), *channels]))}</pre>"
 

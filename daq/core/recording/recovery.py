@@ -217,7 +217,6 @@ class _Copy:
         return recovery
 
     def _copy_chunk(self, records: memoryview, stored_bytes: int) -> None:
-        """Copy the messages of a chunk into a new chunk."""
         try:
             messages = messages_in(records, stored_bytes)
         except Damage as damage:

@@ -66,6 +66,7 @@ def read_labview_heading(lines: Sequence[str], where: str) -> LabviewHeading:
     cells_per_channel = 2 if columns == "Multi" else 1
     try:
         count = int(segment.get("Channels", ["0"])[0])
+        # A column of times precedes all channels or, with separate times, each channel.
         if not 0 < cells_per_channel * count < len(names) + cells_per_channel - 1:
             raise ValueError(f"{count} channels, but {len(names)} names of columns")
         channels = [

@@ -108,7 +108,7 @@ def _input_modules(scene: rig.Scene, terminals: Terminals) -> list[Module]:
     if preset is None:
         return [ideal]
     sheet = module_sheet(preset)
-    assert sheet.inputs is not None  # the check of the scene ensures that there is a name
+    assert sheet.inputs is not None  # the scene accepts only modules with inputs
     template, n_inputs = with_inputs(ideal, sheet, sheet.inputs), sheet.inputs.channels
     first_indices = range(0, max(1, len(indices)), n_inputs)
     return [replace(template, inputs=indices[first : first + n_inputs]) for first in first_indices]
@@ -133,7 +133,7 @@ def with_outputs(template: Module, sheet: ModuleSheet, outputs: Outputs) -> Modu
     """Return a module with the properties of the outputs of a data sheet."""
     return replace(
         _with_product_type(sheet, template),
-        output_range=outputs.ranges[-1],
+        output_range=outputs.ranges[-1],  # the largest range: they ascend
         output_bits=sheet.output_bits,
         output_rates=outputs.rates,
         output_on_demand=outputs.on_demand,

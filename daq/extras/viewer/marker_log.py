@@ -1,4 +1,4 @@
-"""Converts markers of a recording to lines of a log, and to labeled segments of a timeline, for the viewer.
+"""Markers of a recording as lines of a log, and as labeled segments of a timeline, for the viewer.
 
 A marker labels a sample or a segment of samples: a dwell that settles or is measured, an impact, an overload, a gap.
 """

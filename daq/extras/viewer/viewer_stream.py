@@ -1,4 +1,4 @@
-"""Streams curves of channels and dampers and the motion of the rig to a viewer, block by block."""
+"""Stream of curves of channels and dampers, and of the motion of the rig, to a viewer, block by block."""
 
 from collections.abc import Mapping, Sequence
 

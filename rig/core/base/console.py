@@ -52,7 +52,6 @@ class _EscapingStream(io.TextIOBase):
         return len(text)
 
     def flush(self) -> None:
-        """Flush the unescaped stream."""
         self._forward(self.unescaped.flush)
 
     def close(self) -> None:
@@ -69,15 +68,12 @@ class _EscapingStream(io.TextIOBase):
 
     @property
     def encoding(self) -> str:  # type: ignore[override]
-        """Encoding of the unescaped stream."""
         return getattr(self.unescaped, "encoding", None) or "utf-8"
 
     def isatty(self) -> bool:
-        """Return whether the stream is a terminal."""
         return self.unescaped.isatty()
 
     def fileno(self) -> int:
-        """Return the file descriptor of the unescaped stream."""
         return self.unescaped.fileno()
 
 

@@ -152,7 +152,6 @@ def _end_with_parent(parent: int) -> None:
 
 
 def _connect_to_dask(address: str, cleanup: ExitStack) -> Executor:
-    """Connect to a Dask cluster."""
     try:
         from distributed import Client
     except ImportError:

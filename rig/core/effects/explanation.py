@@ -85,7 +85,6 @@ class Explanation(Result):
         ax.set(xlabel="states", title=self.title)
 
     def _repr_html_(self) -> str:
-        """Return the table of effects as HTML for notebooks."""
         return f"<pre>{escape_html(str(self))}</pre>"
 
     def __str__(self) -> str:
@@ -175,7 +174,6 @@ def _frequencies_text(model: StructuralModel) -> str:
 
 
 def _damping_text(scene: Scene) -> str:
-    """Describe the damping of the structure."""
     match scene.structure.damping:
         case ModalDamping(modal=ratio):
             ratios = ratio if isinstance(ratio, tuple) else (ratio,)
@@ -189,7 +187,6 @@ def _damping_text(scene: Scene) -> str:
 
 
 def _shaker_effects(shaker: Shaker, scene: Scene) -> Iterable[Effect]:
-    """List the effects of a shaker."""
 
     def modes_at_rest() -> str:
         driven = [body - 1 for body in shaker.bodies]

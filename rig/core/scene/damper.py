@@ -62,11 +62,11 @@ class Grains(Settings):
     diameter: Annotated[float, Quantity(LENGTH, above=0.0)]
     """Diameter of the spheres [m]."""
     spread: Annotated[float, Quantity(RATIO, at_least=0.0, below=0.5)] = 0.0
-    """Relative half-width of the uniform distribution of diameters about `diameter`; sizes are random (`seed`)."""
+    """Half-width of the uniform distribution of diameters, relative to `diameter`; diameters are random (`seed`)."""
     density: Annotated[float, Quantity(DENSITY, above=0.0)] = 11340.0
     """Density [kg/m^3]; it is adjusted slightly so that the mass of the bed is that of a whole number of grains."""
     modulus: Annotated[float, Quantity(MODULUS, above=0.0)] = 1e8
-    """Young's modulus [Pa], below the 16 GPa of lead because stiffer grains need shorter time steps."""
+    """Young's modulus [Pa]; the default is below the 16 GPa of lead, because stiff grains need short time steps."""
     poisson_ratio: Annotated[float, Quantity(RATIO, at_least=0.0, below=0.5)] = 0.44
     """Poisson's ratio."""
     restitution: Annotated[float, Quantity(RATIO, above=0.0, below=1.0)] = 0.2
@@ -101,9 +101,9 @@ class Damper(Settings):
     body: Body
     """The body with the cavity, by its number from 1 or its name; a body may have several."""
     mass: Annotated[float, Quantity(MASS, above=0.0)] | None = None
-    """Mass of the bed [kg]."""
+    """Mass of the bed, or of a mass on a spring or with friction [kg]."""
     mass_ratio: Annotated[float, Quantity(RATIO, above=0.0)] | None = None
-    """Instead of `mass`: ratio of the bed's mass to the mass of its body."""
+    """Instead of `mass`: ratio of this mass to the mass of the body."""
     clearance: Annotated[float, Quantity(LENGTH, at_least=0.0, infinite=True)] = math.inf
     """Free height of the cavity above the bed, or above the mass at rest on its spring [m]; infinite: no ceiling.
     Without `spring` it is required, and 0 means that the bed cannot move."""

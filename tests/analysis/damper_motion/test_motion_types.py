@@ -116,8 +116,8 @@ def motion_with(floor, ceiling, **fields):
         (1, 0, False, "I"),
         (1, 1, False, "II"),
         (1, 1, True, "III"),
-        (1, 1, None, "other: 1 floor and 1 ceiling impacts a period, staying or not"),
-        (2, 1, False, "other: 2 floor and 1 ceiling impacts a period"),
+        (1, 1, None, "other: 1 floor and 1 ceiling impacts per period, Type II or III"),
+        (2, 1, False, "other: 2 floor and 1 ceiling impacts per period"),
     ],
 )
 def test_type_follows_from_impacts_per_period(floor, ceiling, stays_at_ceiling, name):
@@ -158,18 +158,18 @@ def test_possible_flight_is_not_called_riding() -> None:
 
 @pytest.mark.parametrize(("floor", "ceiling"), [(1.1, 0), (1, 1), (0.48, 0.31)])
 def test_irregular_impacts_have_no_type(floor, ceiling) -> None:
-    motion_type = motion_with(floor, ceiling, pattern_periods=0).name
-    assert motion_type == "uncertain: impacts are missed, or the motion is irregular"
+    motion_type = motion_with(floor, ceiling, cycle_periods=0).name
+    assert motion_type == "uncertain: irregular, or impacts missed"
 
 
 def test_pattern_of_two_periods_has_half_impacts() -> None:
-    motion_type = motion_with(0.53, 1.47, pattern_periods=2).name
-    assert motion_type == "other: 0.5 floor and 1.5 ceiling impacts a period"
+    motion_type = motion_with(0.53, 1.47, cycle_periods=2).name
+    assert motion_type == "other: 0.5 floor and 1.5 ceiling impacts per period"
 
 
 def test_reachable_ceiling_excludes_type_i() -> None:
     motion_type = motion_with(1, 0, may_reach_ceiling_unseen=True).name
-    assert motion_type == "other: 1 floor and 0 ceiling impacts a period, and perhaps weak impacts on the ceiling"
+    assert motion_type == "other: 1 floor and 0 ceiling impacts per period, Type I or weak impacts on the ceiling"
 
 
 def test_patterns_are_described_with_counts() -> None:
@@ -248,7 +248,7 @@ def test_uncertain_impacts_give_no_false_type(tmp_path):
     with daq.open(path) as rec:
         [sweep] = sweeps(rec)
         [motion] = damper_motion(rec, sweep, "b2")
-    assert motion.name == "II" or "uncertain" in motion.name or "perhaps weak impacts" in motion.name
+    assert motion.name == "II" or "uncertain" in motion.name or "Type I or weak impacts" in motion.name
 
 
 def test_impact_energy_agrees_with_truth(fig9):

@@ -146,7 +146,7 @@ def test_file_that_is_not_a_recording_is_rejected(tmp_path):
     [
         (20.8, ["body1: the peak between", "body1: the half-power width at 20.8 Hz"]),
         (21.0, ["body1: the half-power width at 21 Hz"]),
-        (40.0, ["body1: highest point is at the end of the band, 29.5 Hz"]),
+        (40.0, ["body1: the highest point, at 29.5 Hz, is at the end of the band"]),
     ],
 )
 @pytest.mark.parametrize("motion", ["displacement", "acceleration"])
@@ -192,7 +192,7 @@ def test_jump_next_to_peak_needs_no_further_points():
 def test_highest_point_next_to_omitted_frequencies_is_reported():
     f = np.array([15.0, 16.0, 17.0, 18.0, 25.0, 26.0])
     curve = Response.curve(f, 1e-6 / (1.0 - (f / 20.0) ** 2 + 0.01j), "body1", omitted=np.arange(19.0, 25.0))
-    assert "body1: highest point is next to frequencies that were omitted, 18 Hz" in describe_frfs([curve])[3]
+    assert "body1: the highest point, at 18 Hz, is next to omitted frequencies" in describe_frfs([curve])[3]
 
 
 def test_omitted_frequencies_are_marked_as_a_range():

@@ -830,5 +830,5 @@ def test_levels_of_equal_scenes_state_dissipated_energy(tmp_path: Path) -> None:
     path = daq.record(scene, tmp_path / "a.mcap")
     shutil.copy(path, tmp_path / "b.mcap")
     page = text_of(write_report([path, tmp_path / "b.mcap"], tmp_path / "a.html").files[0])
-    shares = re.findall(r'data-label="energy in dampers.*?">(.*?)</td>', page)
+    shares = re.findall(r'data-label="energy dissipated by dampers.*?">(.*?)</td>', page)
     assert len(shares) == 4 and all(shares) and shares[:2] == shares[2:]

@@ -109,7 +109,7 @@ MISTAKES = [
      ":2: shaker.body: no body has the name 'left': the bodies have no names; expected its number, 1 to 2"),
     (STRUCTURE + "channels: [{name: a/b, at: body 1}]", ':2: channels[1].name: got "a/b"; expected a name of letters'),
     (STRUCTURE + "channels: [{name: a, at: tabel}]",
-     ':2: channels[1].at: got "tabel"; expected a body (its name, or as body 1), table, hammer, shaker'),
+     ':2: channels[1].at: got "tabel"; expected a location: a body (its name, or body 1), table'),
     # exclusive and dependent keys
     (STRUCTURE + "dampers: [{body: 1, mass: 10 g, mass_ratio: 1 %, clearance: 1 mm}]",
      ":2: dampers[1]: mass and mass_ratio given together; expected exactly one of mass or mass_ratio"),

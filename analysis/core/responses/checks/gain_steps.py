@@ -112,7 +112,7 @@ def step_warnings(response: Response, is_linear: bool) -> list[str]:
 
 
 def describe_step(name: str, log_ratio: complex, frequency: float, reference: str = "", time: str = "") -> str:
-    """Describe a step of a channel, with the real or imaginary logarithm of its complex gain after over before.
+    """Describe a step of a channel: `log_ratio` is ln(gain after / gain before), imaginary for a change of the delay.
 
     `frequency`: Hz; `reference`: the other channel that may be the cause; `time`: text after the frequency.
     """

@@ -26,7 +26,7 @@ class Continuation(KindOfTest):
     from_: Frequency = Field(alias="from")
     """Frequency at which each curve begins, outside the resonance [Hz]."""
     to: Frequency
-    """Frequency at which each curve ends, above or below `from` [Hz]."""
+    """Frequency at which each curve ends, above or below the first [Hz]."""
     at: BodyLocation
     """The body whose motion is controlled: body 3, or its name."""
     step: Annotated[float, Quantity(RATIO, above=0.0, below=1.0)] = 0.2

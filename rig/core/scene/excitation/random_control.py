@@ -52,7 +52,7 @@ class RandomControl(ProfileControl, KindOfTest):
     tolerance: Decibels = 3.0
     """Permissible deviation from the profile [dB]."""
     abort: Decibels = 6.0
-    """Abort limit: excess of a line over the profile above which it counts for `abort_lines` [dB]."""
+    """Abort limit: a line whose excess over the profile is larger counts for `abort_lines` [dB]."""
     abort_lines: Share = 0.1
     """The test is aborted if more than this fraction of the lines exceeds the profile by more than `abort`, plus twice
     the scatter of the averaged densities."""

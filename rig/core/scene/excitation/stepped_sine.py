@@ -45,7 +45,7 @@ class SteppedTest(KindOfTest):
     from_: Frequency | None = Field(None, alias="from")
     """First frequency [Hz]."""
     to: Frequency | None = None
-    """Last frequency [Hz], higher than `from`."""
+    """Last frequency [Hz], higher than the first."""
     points: Annotated[int, Field(ge=2, le=MAX_STEPS)] | None = None
     """Number of frequencies, both ends inclusive."""
     frequencies: tuple[Frequency, ...] | None = Field(None, min_length=1, max_length=MAX_STEPS)

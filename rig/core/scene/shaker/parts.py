@@ -101,7 +101,7 @@ class Armature(Settings):
     """Moving armature on its suspension."""
 
     mass: Annotated[float, Quantity(MASS, above=0.0)] = 0.25
-    """Mass, the table included [kg]."""
+    """Mass of the armature with the table [kg]."""
     stiffness: Annotated[float, Quantity(STIFFNESS, at_least=0.0)] = 8000.0
     """Stiffness of the suspension [N/m]."""
     damping: Annotated[float, Quantity(DASHPOT, at_least=0.0)] = 8.0

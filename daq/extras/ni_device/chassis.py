@@ -10,6 +10,7 @@ voltage. Bench time runs only while a started task is open. The test of the scen
 the first time, see `daq.extras.ni_device.background_test`.
 """
 
+import math
 import sys
 import threading
 import time
@@ -38,7 +39,7 @@ from rig.core.base.errors import RunError, ShotrigError, unexpected_text
 UNLIMITED_TICKS = 1 << 62
 # Delay behind the wall clock [s] that stops runs: the buffer of a real device would have overflowed.
 _MAX_DELAY_S = 5.0
-# Longest pause [s] of the fast clock for a callback, which must not stop the bench if it never returns.
+# Longest pause [s] of the fast clock for a callback or a write, which must not stop the bench if it never comes.
 _CALLBACK_WAIT_S = 0.25
 # Number of consecutive events with a late callback after which the clock no longer waits for the callbacks of a task.
 _MAX_UNANSWERED = 8
@@ -276,6 +277,8 @@ class Chassis:
         ticks = terminals.limit_ticks(min(limit, self._ticks_to_awaited_trigger()))
         for task in (*self.inputs, *self.outputs):
             ticks = max(1, min(ticks, task.max_ticks()))
+        if not self.clock.is_free_running:
+            ticks = self._ticks_with_samples(ticks)
         volts = None
         if self._tasks_drive_outputs:
             volts = np.repeat(self.last_volts[:, None], ticks, axis=1)
@@ -300,6 +303,16 @@ class Chassis:
         notified = [task for task in (*self.inputs, *self.outputs) if task.notify_samples()]
         if notified and not self.clock.is_free_running:
             self._await_callbacks(notified)
+
+    def _ticks_with_samples(self, ticks: int) -> int:
+        """Limit a number of ticks to those for which outputs have samples; wait for threads that write samples."""
+
+        def present_limit() -> float:
+            return min((run.ticks_to_last_written() for run in self.outputs.values()), default=math.inf)
+
+        self.changed.wait_for(lambda: present_limit() > 0, _CALLBACK_WAIT_S)
+        limit = present_limit()
+        return ticks if limit <= 0 else int(min(ticks, limit))
 
     def _await_callbacks(self, notified: Sequence[Runner]) -> None:
         """Wait for the callbacks of tasks, except of tasks whose callbacks were late at several events in a row."""

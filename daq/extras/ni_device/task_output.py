@@ -135,6 +135,7 @@ class TaskOutput:
             if n_accepted > 0:
                 buffer.write(volts[:, n_written : n_written + n_accepted], run is not None)
                 n_written += n_accepted
+                chassis.changed.notify_all()
             if n_written == n_requested:
                 return n_written
             time_left = timeout if timeout < 0 else max(0.0, timeout - (chassis.clock.now(chassis) - start_s))

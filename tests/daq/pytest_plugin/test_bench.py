@@ -8,7 +8,7 @@ from contextlib import nullcontext
 import nidaqmx
 import numpy as np
 import pytest
-from nidaqmx.constants import AcquisitionType, Coupling, TerminalConfiguration
+from nidaqmx.constants import AcquisitionType, Coupling, RegenerationMode, TerminalConfiguration
 
 import rig
 from daq.extras.ni_device.errors import DaqError
@@ -165,6 +165,32 @@ def test_reading_thread_keeps_pace_with_sleep(open_with_waits, pause_s):
         thread.join()
     # 20 blocks in 2 s; the thread may finish some more before it is stopped.
     assert 19 <= len(counts) < 40
+
+
+def test_writing_thread_keeps_pace_with_reads(open_with_waits):
+    bench, errors, has_ended = open_with_waits(TWO_MODULES), [], threading.Event()
+    with continuous(bench) as inputs, task_on(bench) as outputs:
+        outputs.ao_channels.add_ao_voltage_chan("cDAQ1Mod2/ao0")
+        outputs.timing.cfg_samp_clk_timing(RATE, sample_mode=AcquisitionType.CONTINUOUS)
+        outputs.out_stream.regen_mode = RegenerationMode.DONT_ALLOW_REGENERATION
+        outputs.out_stream.output_buf_size = 1536
+        outputs.write(np.zeros(1024))
+
+        def write_blocks():
+            try:
+                while not has_ended.is_set():
+                    outputs.write(np.zeros(512))
+            except nidaqmx.DaqError as error:
+                errors.append(error)
+
+        thread = threading.Thread(target=write_blocks)
+        outputs.start()
+        thread.start()
+        for _ in range(20):
+            inputs.read(512)
+        has_ended.set()
+        thread.join()
+    assert not errors
 
 
 def test_late_thread_does_not_stop_time(open_with_waits):

@@ -110,6 +110,13 @@ class Generation:
         assert self.first_tick is not None
         return math.ceil(samples / self.plan.per_tick) - self._ticks
 
+    def ticks_to_last_written(self) -> float:
+        """Return the ticks until the buffer has no new samples, if new samples are required; otherwise infinity."""
+        written = self.buffer.written
+        if self.done or self.first_tick is None or self.plan.regenerates or written == self.plan.samples:
+            return math.inf
+        return self.ticks_until(written)
+
     def produce(self, tick: int, count: int, event_tick: EventTick) -> Array:
         """Return the output voltages of `count` ticks from `tick` on [V], shape (channels, count)."""
         out = np.repeat(self.last_volts[:, None], count, axis=1)

@@ -84,17 +84,15 @@ class HeldMotion(EnvelopeTone):
 
         If the motion leaves the level although the drive is constant, its orbit is unstable: feedback holds it.
         """
-        first = self.station.now
-        held = yield from self.hold_envelope(samples, self.target, feedback=False)
+        held = yield from self.hold_until_decayed(samples, self.target)
         growth = held.growth
         if settled and growth:
             settled = yield from self.settle_envelope(self.frequency, self.amplitude, self.target, self._settle.longest)
-            first = self.station.now
             held = yield from self.hold_envelope(samples, self.target, feedback=True)
             settled = settled and not held.growth
             if not settled and growth * self.dead_time > MAX_POLE_TIMES_DEAD_TIME:
                 self.lost.append((growth, self.dead_time))
-        self.mark_measured(first, held, settled, **fields)
+        self.mark_measured(held, settled, **fields)
 
 
 class ConstantResponseProcedure(SteadyTonesProcedure["ConstantResponse"]):

@@ -181,7 +181,6 @@ class _Curve:
         `jump`: result of `_past_corner`.
         """
         test, station, tone, is_unstable = self._test, self._station, self._tone, tangent.real * self._forward < 0.0
-        first = station.now
         samples = round(test.measure.periods * station.rate / point.frequency)
         # At constant drive, a motion next to a fold drifts slowly, and its force is in error.
         held = yield from tone.hold_envelope(samples, point.motion, feedback=self._holding)
@@ -189,13 +188,12 @@ class _Curve:
             # Feedback excites some stable motions, such as those next to corners.
             if (yield from tone.hold_at(point.frequency, point.motion)) is None:
                 return False
-            first = station.now
             held = yield from tone.hold_envelope(samples, point.motion, feedback=False)
         # The amplitude of an irregular motion can also grow.
         settled = held.invasive < _MAX_INVASIVE and not (held.growth and held.repetition)
         self._is_irregular |= settled and not held.repetition
         fields = {"distance": abs(point.pole), "frequency": point.frequency, "level": self._level}
-        tone.mark_measured(first, held, settled, **fields, direction="up", jump=jump)
+        tone.mark_measured(held, settled, **fields, direction="up", jump=jump)
         if not (settled and held.repetition):
             return False
         self.folds += is_unstable != self.unstable

@@ -55,6 +55,18 @@ def test_chaotic_motion_does_not_repeat() -> None:
     assert [of_motion(logistic_map(growth)) for growth in (3.2, 3.5, 3.9)] == [2, 4, 0]
 
 
+def test_chaotic_motion_is_no_transient() -> None:
+    # In 10 periods, the deviations of some of these motions happen to decrease.
+    value, found = 0.3, set()
+    for _ in range(200):
+        values = []
+        for _ in range(10):
+            value = 3.9 * value * (1.0 - value)
+            values.append(value)
+        found.add(of_motion(np.repeat(0.01 * np.array(values), PER_PERIOD)))
+    assert 1 not in found
+
+
 def test_quasi_periodic_motion_is_irregular() -> None:
     # The envelope at the frequency itself is constant.
     assert of_motion(0.0 * TIME, mode=0.02 * np.sin(2.0 * np.pi * 0.382 * TIME)) == 0
@@ -110,7 +122,8 @@ def test_decaying_mode_is_no_multiple(periods: int, frequency: float, time_const
     time = time_of(periods)
     decay = 0.005 * np.exp(-time / (time_constant * periods))
     modes = [decay * np.cos(2.0 * np.pi * frequency * time + phase) for phase in PHASES[::3]]
-    assert {of_motion(0.0 * time, 1e-4, mode=mode) for mode in modes} == {1}
+    # It is measured again if it does not repeat yet.
+    assert {of_motion(0.0 * time, 1e-4, mode=mode) for mode in modes} <= {0, 1}
 
 
 def test_small_alternating_transient_is_no_multiple() -> None:

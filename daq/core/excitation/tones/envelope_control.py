@@ -54,6 +54,9 @@ _REDUCED_GAIN = 0.5
 AVERAGED_WINDOWS = 12
 # In steady state, the drives of these windows have at most this relative standard deviation.
 _MAX_SCATTER = 0.01
+# A measurement is repeated while the differences of its periods decrease to at most this ratio from one measurement to
+# the next: other modes decay. Differences by a multiple of the period or an irregular motion remain about equal.
+_DECAYING_RATIO = 0.8
 # The motion has left its target if it deviates by more than this multiple of the tolerance; it scatters by less.
 _LEFT_RATIO = 2.0
 
@@ -110,6 +113,7 @@ class EnvelopeControl:
 class Held(NamedTuple):
     """A measurement at constant envelope."""
 
+    first: int  # first sample
     motion: complex  # mean envelope [m]
     drive: complex  # mean envelope
     invasive: float  # root mean square of the changes of the drive by the control, relative to the drive
@@ -256,6 +260,7 @@ class EnvelopeTone(RepeatingTone):
         control = self._control_to(target) if feedback else None
         samples = max(samples, min_samples([self.frequency], self.rate))
         self._readings.clear()
+        first = self.station.now
         for _ in range(-(-samples // window)):
             if control is None:
                 yield from self.observe(window)
@@ -271,12 +276,21 @@ class EnvelopeTone(RepeatingTone):
         pole = abs(self._gain * drive) / max(abs(motion), 1e-300)
         changes = pole / self.frequency * invasive if feedback else 0.0
         repetition = self.repetition(np.concatenate(self._readings), abs(motion), changes)
-        return Held(motion, drive, invasive, growth, repetition)
+        return Held(first, motion, drive, invasive, growth, repetition)
 
-    def mark_measured(self, first: int, held: Held, settled: bool, **fields: Any) -> None:
-        """Mark the measurement from a given sample to the current sample; `settled`: whether its envelope is steady."""
+    def hold_until_decayed(self, samples: int, target: float) -> Generator[Array, Array, Held]:
+        """Measure as `hold_envelope` with constant drive, again while other modes decay."""
+        previous = np.inf
+        while True:
+            held = yield from self.hold_envelope(samples, target, feedback=False)
+            if held.repetition == 1 or held.growth or self.deviation > _DECAYING_RATIO * previous:
+                return held
+            previous = self.deviation
+
+    def mark_measured(self, held: Held, settled: bool, **fields: Any) -> None:
+        """Mark a measurement that ends at the current sample; `settled`: whether its envelope is steady."""
         self.station.mark(
-            "measure", first, self.station.now, drive=abs(held.drive),
+            "measure", held.first, self.station.now, drive=abs(held.drive),
             force=abs(held.drive) if self.station.force_is_drive else None,
             settled=settled and held.repetition > 0, invasive=held.invasive, repetition=held.repetition, **fields,
         )  # fmt: skip

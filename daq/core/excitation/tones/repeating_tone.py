@@ -26,11 +26,10 @@ _MAX_REPEATED_PERIODS = 4
 _MIN_DEVIATION_RATIO = 2.0
 # Smaller deviations, relative to the tolerance of steady state, belong to transients.
 _MIN_MULTIPLE_RATIO = 0.25
-# Largest ratio of the powers of a transient in the last and first third of a measurement. Modes with a time constant
-# below 1.4 measured times decay faster. With 24 steady multiples the ratio was 0.6 to 1.5, with two that grew 4 and 6.
-_MAX_DECAY = 0.4
-# Smallest part of the power in the last third that decays if the deviations are a transient.
-_MIN_DECAYING_PART = 0.5
+# Smallest ratio of the powers of a steady multiple in the first and last third of a measurement: with 24 steady
+# multiples the ratio of last to first was 0.6 to 1.5, with two that grew 4 and 6. Modes with a time constant below 1.4
+# measured times decay to less.
+_MIN_POWER_RATIO = 0.4
 # Ratio of the largest difference of two periods to the tolerance, which each of them may deviate from steady state.
 _TWO_DEVIATIONS = 2.0**0.5
 # Orders of the tone's frequency at which periods are compared. Hann windows of two periods at these orders cover the
@@ -52,6 +51,8 @@ class RepeatingTone(SteadyTone):
         self._quantity, self._settle = motion, settle
         # Standard deviation of the amplitude in a window by noise, before the weights of the displacement.
         self._noise = 0.0
+        # Root mean square difference of two periods in the last measurement, relative to the motion.
+        self.deviation = 0.0
         # Frequencies [Hz] and repetitions of the motions at each level.
         self._repetitions = defaultdict[float, list[tuple[float, int]]](list)
 
@@ -89,6 +90,7 @@ class RepeatingTone(SteadyTone):
         ratio = (1.5 * len(_COMPARED_ORDERS) * self.window * self.frequency / self.rate / 2.0) ** 0.5
         noise = ratio * self.relative_noise(motion)
         amplitudes = amplitudes_of_periods(samples, self.frequency, self.rate)
+        self.deviation = float(np.mean(_deviations(amplitudes, 1)[0])) ** 0.5
         return repetition(amplitudes, self._settle.tolerance, noise, feedback)
 
     def add_repetition(self, level: float, repetition: int) -> None:
@@ -157,16 +159,6 @@ def _deviations(amplitudes: ComplexArray, lag: int) -> tuple[Array, float]:
     return np.array(powers), max(_drift(mean, other) for mean in means for other in means)
 
 
-def _is_transient(powers: Array, largest: float) -> bool:
-    """Return whether deviations decay to less than `largest`, by Aitken's extrapolation of their powers in thirds."""
-    if powers.size < 3:
-        return False
-    first, second, third = powers.tolist()
-    before, latest = first - second, second - third
-    persistent = third - latest**2 / (before - latest) if before > latest else third
-    return third < _MAX_DECAY * first and persistent < max((1.0 - _MIN_DECAYING_PART) * third, largest**2)
-
-
 def repetition(amplitudes: ComplexArray, tolerance: float, noise: float, feedback: float = 0.0) -> int:
     """Return the number of periods after which a motion repeats, from `amplitudes_of_periods`; 0: none.
 
@@ -186,11 +178,9 @@ def repetition(amplitudes: ComplexArray, tolerance: float, noise: float, feedbac
     deviations = [float(np.mean(each)) ** 0.5 for each in powers]
     limit = max(float(np.hypot(_MIN_MULTIPLE_RATIO * tolerance, noise)), _MIN_DEVIATION_RATIO * min(deviations))
     lag = next((lag for lag, deviation in zip(lags, deviations, strict=True) if deviation <= min(limit, largest)), 0)
-    if _is_transient(powers[0], largest):
-        # Other modes decay. They do not change the amplitude at the frequency of the tone.
-        lag = 1
-    elif lag > 1 and powers[0][0] < _MAX_DECAY * powers[0][-1]:
-        # The motion leaves an unstable orbit, and has not reached another one.
+    ends = powers[0][0], powers[0][-1]
+    if lag > 1 and min(ends) < _MIN_POWER_RATIO * max(ends):
+        # Other modes decay, or the motion leaves an unstable orbit and has not reached another one.
         lag = 0
     # A slow beat changes the means of long parts. Feedback suppresses it.
     return lag if lag and (feedback or drifts[lag - 1] <= largest) else 0

@@ -7,7 +7,7 @@ shaker, and neglected for a coil spring. (M. Scheel, S. Peter, R. I. Leine, M. K
 At phase resonance, other modes still contribute to the phase of each body. They respond nearly in phase with the force,
 so that the quadrature parts of all bodies' motions form the shape of the resonant mode. The projection of the motion on
 this shape, weighted with the mass matrix, is the modal coordinate q. Its phase gives the natural frequency: w0^2 = w^2
-+ 2 D w0 w Re q / -Im q.
++ 2 D w0 w Re q / -Im q. Other modes dissipate a part of the power, in proportion to the square of their motion.
 """
 
 from collections.abc import Mapping
@@ -38,6 +38,9 @@ from rig.core.system.structural_model import structural_model
 _FREQUENCY_DEVIATION_RATIO = 2.0
 # Largest quadrature part of other modes, in their in-phase part times the resonant mode's damping ratio.
 _MAX_QUADRATURE_PER_DAMPING = 10.0
+# Largest power that other modes dissipate, relative to that of the resonant mode with the same motion. It is at most 1
+# with damping by mass or stiffness, beside the quadrature part; 2 allows for damping ratios that differ from these.
+_MAX_DISSIPATION_RATIO = 2.0
 # Quantities of the mode at a level without a mode near phase resonance.
 _NO_MODE = dict.fromkeys(("natural_frequency", "natural_frequency_expanded", "damping", "damping_expanded"), np.nan)
 
@@ -285,7 +288,8 @@ def _mode(
     damping = quadrature * omega / (2.0 * natural)
     share = float(np.sqrt(others @ mass @ others)) / -coordinate.imag
     drive_share = max(share, abs(float(np.sum(others[driven])) / float(np.sum(motion.imag[driven]))))
-    damping_error = 2.0 * relative + min(_MAX_QUADRATURE_PER_DAMPING * abs(damping), 1.0) * drive_share
+    damping_error = 2.0 * relative + _MAX_DISSIPATION_RATIO * share**2
+    damping_error += min(_MAX_QUADRATURE_PER_DAMPING * abs(damping), 1.0) * drive_share
     # Without motion of other modes, an unbounded error of their motion has no effect (0 times infinity would be NaN).
     angle_error = rotation + (share * (share + relative) if share else 0.0)
     error = abs(damping) * ((1.0 + tangent**2) * angle_error + abs(tangent) * damping_error)

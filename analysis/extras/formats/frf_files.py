@@ -15,8 +15,9 @@ from analysis.core.modal.roving_hammer import exchange_points
 from analysis.core.responses.checks.curve_checks import reversed_force
 from analysis.extras.formats.frf_arrays import response_arrays
 from daq.extras.importing import uff
+from daq.extras.importing.clock import warn
 from daq.extras.importing.files import signals_of
-from daq.extras.importing.text_layout import UNNAMED
+from daq.extras.importing.text_layout import UNNAMED, without_brackets
 from daq.extras.importing.units import quantity_and_scale
 from rig.core.base.arrays import Array
 from rig.core.base.errors import RecordingError, SceneError
@@ -40,11 +41,12 @@ _COLUMN_NAME = re.compile(
 _COMPONENT_OF_NAME = re.compile(r"^(re|im|abs|mag|phi|phase)\((.*)\)$", re.IGNORECASE)
 # Unit of a phase; the column before it contains the magnitude.
 _ANGLE = re.compile(r"deg(rees?)?|°|rad(ians?)?|grad", re.IGNORECASE)
-# Unit of a magnitude in decibels: a reference value, and its unit.
+# Unit of a magnitude in decibels, after "dB": a reference value, and its unit.
 _DECIBELS = re.compile(
-    r"dB\s*(?:\(?re(?:f\w*)?\.?:?\s*|/\s*)?(?P<reference>\d[\d.]*(?:e[+-]?\d+)?)?\s*(?P<unit>[^\d\s].*?)?\)?",
-    re.IGNORECASE,
+    r"(?:re(?:f\w*)?\.?:?\s*|/\s*)?(?P<reference>\d[\d.]*(?:e[+-]?\d+)?)?\s*(?P<unit>[^\d\s].*)?", re.IGNORECASE
 )
+# Units of frequencies, and their values in Hz.
+_FREQUENCY_UNITS = {"hz": 1.0, "khz": 1e3, "rad/s": 0.5 / np.pi}
 # Largest relative variation of the spacing of lines of a DFT, due to rounding in a table.
 _MAX_SPACING_SPREAD = 0.05
 # Assumed noise bandwidth in lines: that of a Hann window, because files do not state the window.
@@ -173,7 +175,7 @@ def _from_uff(path: Path, reference: str | None, unit: str | None) -> list[Respo
         # The unit of the ratio follows from the axis labels.
         numerator, denominator = uff.label(data_set, "ordinate"), uff.label(data_set, "orddenom")
         label = f"({numerator})/({denominator})" if numerator and denominator else numerator
-        motion, scale = _ratio(f"{path}: {name}", unit or label)
+        motion, scale = _ratio(f"{path}: {name}", label, unit)
         points = _points(data_set)
         stated = (column_of.get((points, f"{line} {uff.title(data_set)}")) for line in (DEVIATION_LINE, BOUND_LINE))
         error, bound = (None if column is None else scale * column for column in stated)
@@ -206,38 +208,55 @@ def _names(sets: Sequence[Mapping[str, Any]]) -> list[str]:
     return [f"{uff.point(data_set, 'rsp')} #{number}" for number, data_set in enumerate(sets, 1)]
 
 
-def _ratio(where: str, unit: str) -> tuple[str, float]:
+def _ratio(where: str, stated: str, given: str | None = None) -> tuple[str, float]:
     """Return the motion quantity of a ratio of motion to force, and the SI value of the ratio's unit.
 
-    `where`: location in the file, for messages.
+    `where`: location in the file, for messages. The unit `given` overrides the unit `stated` in the file, but not that
+    of a dynamic stiffness: its poles are antiresonances.
 
     >>> _ratio("a", "(1/N)*(m/s²)"), _ratio("a", "(g)/(N)"), _ratio("a", "m/N")
     (('acceleration', 1.0), ('acceleration', 9.80665), ('displacement', 1.0))
     """
+    for text in filter(None, (stated, given)):
+        numerator, _, denominator = re.sub(r"^\((.*?)\)", r"\1", text).partition("/")
+        quantities = [_quantity_and_scale(part)[0] for part in (re.split(r"[\s·*]", numerator)[0], denominator)]
+        if text == "kg" or (quantities[0] == "force" and quantities[1] in MOTIONS):
+            raise SceneError(
+                f"{where}: the unit {text!r} is force per motion (dynamic stiffness). Export its inverse, such as m/N."
+            )
+    unit = without_brackets((given or stated).strip())
     if not unit:
         raise SceneError(f"{where}: the file states no unit. Give the unit, such as `unit` m/s^2/N.")
+    if ratio := re.fullmatch(r"(\([^()]+\))\s*(\([^()]+\))", unit):
+        unit = f"{ratio[1]}/{ratio[2]}"
+        warn(f"{where}: its unit {ratio[0]} is read as {unit}. If it is a cross spectrum, export the response.")
     for pattern in (
         r"\(?1/\(?(?P<denominator>[^()*]+)\)?\)?\s*\*\s*\(?(?P<numerator>[^()]+)\)?",
         r"\((?P<numerator>.+)\)\s*/\s*\(?(?P<denominator>[^()/]+)\)?",
         r"(?P<numerator>.+?)\s*/\s*\(?(?P<denominator>[^/()\s]+)(?:\s+s(?:\^?2|²)?)?\)?",
     ):
-        match = re.fullmatch(pattern, unit.strip())
+        match = re.fullmatch(pattern, unit)
         if match is None:
             continue
         numerator, denominator = match["numerator"], match["denominator"]
         # Notation of tables written by this program: m/(N s^2).
-        if tail := re.fullmatch(r"(.+)/\((N) (s|s\^2|s²)\)", unit.strip()):
+        if tail := re.fullmatch(r"(.+)/\((N) (s|s\^2|s²)\)", unit):
             numerator, denominator = f"{tail[1]}/{tail[3]}", tail[2]
-        try:
-            (motion, motion_unit), (force, force_unit) = quantity_and_scale(numerator), quantity_and_scale(denominator)
-        except ValueError:
-            continue
+        (motion, motion_unit), (force, force_unit) = map(_quantity_and_scale, (numerator, denominator))
         if motion in MOTIONS and force == "force":
             return motion, motion_unit / force_unit
     raise SceneError(
         f"{where}: unit {unit!r}; expected motion per force, such as m/N, m/s/N, m/s^2/N or g/N. To identify the poles "
         "of other responses, such as sound pressures, give `unit` m/s^2/N; the shapes then have the unit of the file."
     )
+
+
+def _quantity_and_scale(unit: str) -> tuple[str, float]:
+    """Return the quantity of a unit, empty if unknown, and its size in SI."""
+    try:
+        return quantity_and_scale(without_brackets(unit.strip()))
+    except ValueError:
+        return "", 0.0
 
 
 def _from_long_table(path: Path, unit: str | None) -> list[Response]:
@@ -248,7 +267,7 @@ def _from_long_table(path: Path, unit: str | None) -> list[Response]:
         real = next((name for name in heading if name.startswith("real ")), None)
         if real is None or not {"response", "frequency_Hz", real.replace("real", "imag", 1)} <= {*heading}:
             return []
-        motion, scale = _ratio(str(path), unit or real.removeprefix("real "))
+        motion, scale = _ratio(str(path), real.removeprefix("real "), unit)
         imag, deviation, systematic = (
             real.replace("real", name, 1) for name in ("imag", "magnitude_std", "systematic")
         )
@@ -308,9 +327,9 @@ def _from_table(path: Path, unit: str | None) -> list[Response]:
         frequency = first.read(0, first.samples)
         columns = [(signal.name, signal.unit, signal.read(0, signal.samples)) for signal in others]
     # A column in Hz contains frequencies, whatever its name: analyzers call it X-Axis.
-    if first.unit == "kHz":
-        frequency = 1e3 * frequency
-    elif first.unit.lower() != "hz" and (first.unit or not re.match(r"f|hz", first.name, re.IGNORECASE)):
+    if (factor := _FREQUENCY_UNITS.get(first.unit.lower())) is not None:
+        frequency = factor * frequency
+    elif first.unit or not re.match(r"f|hz", first.name, re.IGNORECASE):
         column = f"is {first.name!r}" if first.rate is None else "contains times"
         raise RecordingError(
             f"{path}: the first column {column}; expected frequencies in Hz, such as 'f [Hz]'. {_IMPORT}"
@@ -342,7 +361,7 @@ def _from_table(path: Path, unit: str | None) -> list[Response]:
         column_unit, first_column = pair["real"] if "real" in pair else pair["magnitude"]
         if "magnitude" in pair:
             column_unit, first_column = _linear_magnitude(f"{path}: {name}", column_unit, first_column)
-        motion, scale = _ratio(f"{path}: {name}", unit or column_unit)
+        motion, scale = _ratio(f"{path}: {name}", column_unit, unit)
         if "real" in pair:
             value = first_column + 1j * pair["imag"][1]
         else:
@@ -369,7 +388,7 @@ def _linear_magnitude(where: str, unit: str, magnitude: Array) -> tuple[str, Arr
     >>> _linear_magnitude("a", "dB re 1 m/s^2/N", np.array([20.0]))
     ('m/s^2/N', array([10.]))
     """
-    if match := _DECIBELS.fullmatch(unit):
+    if unit[:2].lower() == "db" and (match := _DECIBELS.fullmatch(without_brackets(unit[2:].strip()))):
         return match["unit"] or "", float(match["reference"] or 1.0) * 10.0 ** (magnitude / 20.0)
     if (magnitude < 0.0).any():
         raise SceneError(
@@ -382,7 +401,7 @@ def _linear_magnitude(where: str, unit: str, magnitude: Array) -> tuple[str, Arr
 def _from_arrays(path: Path, unit: str | None) -> list[Response]:
     """Read complex arrays of a MATLAB or numpy file."""
     values, frequency, coherence, stated_unit = response_arrays(path)
-    motion, scale = _ratio(str(path), unit or stated_unit)
+    motion, scale = _ratio(str(path), stated_unit, unit)
     return [_curve(path, name, frequency, scale * value, motion, coherence[name]) for name, value in values.items()]
 
 
@@ -394,7 +413,7 @@ def _unnamed_curve(path: Path, frequency: Array, real: Array, imag: Array, unit:
             f"{path} has no heading, and its second column has no negative value: it may be a real part or a "
             f"magnitude. Add {remedy}."
         )
-    motion, scale = _ratio(str(path), unit or "")
+    motion, scale = _ratio(str(path), "", unit)
     curve = _curve(path, "response", frequency, scale * (real + 1j * imag), motion)
     return curve.warn(
         f"{path} has no heading: frequency in Hz, real part and imaginary part are assumed. If this is wrong, add "

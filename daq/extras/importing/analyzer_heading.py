@@ -1,40 +1,21 @@
 """Headings with a keyword in the first cell of each line, as analyzers export them: names and units of the columns.
 
-Layouts: B&K PULSE (``X-AxisUnit:``, ``AmplitudeUnit:``, ``Data Type: Complex``, and a column of line numbers),
+Layouts: B&K PULSE (``X-AxisUnit:``, ``AmplitudeUnit:``, ``Data Type: Complex``),
 Siemens Testlab (``Function class``, ``Point id``), ME'scope (``Y Axis DOFs``, ``Y Axis Units``) and m+p (``Channel``,
 ``Unit``). A keyword line has one cell for the file, one per column, or one per pair of columns.
 """
 
 import re
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
 
 # Keywords, in lower case without spaces and punctuation. If several occur in a file, the first is used.
 _NAMES = (
-    "yaxisdofs",
-    "pointid",
-    "channelname",
-    "channel",
-    "kanalname",
-    "kanal",
-    "signalname",
-    "signal",
-    "name",
-    "tracename",
-    "measurementlabel",
-    "title",
-)
+    "yaxisdofs", "pointid", "channelname", "channel", "kanalname", "kanal", "signalname", "signal", "name",
+    "tracename", "measurementlabel", "title",
+)  # fmt: skip
 _UNITS = (
-    "yaxisunits",
-    "yaxisunit",
-    "amplitudeunit",
-    "channelunit",
-    "units",
-    "unit",
-    "einheit",
-    "vunit",
-    "verticalunits",
-)
+    "yaxisunits", "yaxisunit", "amplitudeunit", "channelunit", "units", "unit", "einheit", "vunit", "verticalunits",
+)  # fmt: skip
 _ABSCISSA_UNITS = ("xaxisunits", "xaxisunit", "xeinheit")
 # Keywords of the kind of data. Complex data have two columns for each function.
 _KINDS = ("datatype", "yaxistype", "functionclass", "measurementtype")
@@ -42,30 +23,19 @@ _KINDS = ("datatype", "yaxistype", "functionclass", "measurementtype")
 _COMPLEX = re.compile(r"complex|real|frf|frequency response", re.IGNORECASE)
 # Texts of the kind of complex data stored as pairs of magnitude and phase.
 _POLAR = re.compile(r"magnitude|amplitude|phase", re.IGNORECASE)
-# Keyword of a file whose first column is the number of the line, if the unit of the abscissa is stated as well.
-_LINE_NUMBERS = "headersize"
 
 
-class Heading(NamedTuple):
-    """Names and units of the columns that are read."""
-
-    names: list[str]
-    units: list[str]
-    first_column: int  # number of columns on the left that are not read
-
-
-def keyed_heading(rows: Sequence[Sequence[str]], column_count: int) -> Heading | None:
+def keyed_heading(rows: Sequence[Sequence[str]], column_count: int) -> tuple[list[str], list[str]] | None:
     """Return names and units from the lines of a heading, split into cells; None without a keyword for units.
 
     >>> keyed_heading([["Channel", "force", "tip"], ["Unit", "N", "g"]], 3)
-    Heading(names=['time', 'force', 'tip'], units=['s', 'N', 'g'], first_column=0)
+    (['time', 'force', 'tip'], ['s', 'N', 'g'])
     """
     cells: dict[str, list[str]] = {}
     for row in rows:
         parts = list(row) if len(row) > 1 else [part.strip() for part in "".join(row).split(":", 1)]
         cells.setdefault(re.sub(r"[\W_]", "", parts[0]).lower(), parts[1:])
-    first_column = int(_LINE_NUMBERS in cells and any(key in cells for key in _ABSCISSA_UNITS))
-    count = column_count - first_column - 1
+    count = column_count - 1
     units = _for_columns(cells, _UNITS, count)
     if units is None or count < 1:
         return None
@@ -79,7 +49,7 @@ def keyed_heading(rows: Sequence[Sequence[str]], column_count: int) -> Heading |
         names = [f"{first or second} {suffix}".strip() for first, second in pairs for suffix in suffixes]
         units = [unit for pair in zip(units[::2], units[1::2], strict=True) for unit in [pair[0] or pair[1]] * 2]
     first = "frequency" if abscissa.lower() == "hz" else "time"
-    return Heading([first, *names], [abscissa, *units], first_column)
+    return [first, *names], [abscissa, *units]
 
 
 def _for_columns(cells: Mapping[str, Sequence[str]], keys: Sequence[str], count: int) -> list[str] | None:

@@ -5,12 +5,14 @@ import math
 import re
 from collections.abc import Container, Sequence
 from datetime import UTC, datetime
-from itertools import accumulate, chain, pairwise, takewhile
+from itertools import accumulate, chain, takewhile
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
+
 from daq.extras.importing.analyzer_heading import keyed_heading
-from daq.extras.importing.clock import TIME_NAMES, rate_of_interval, warn
+from daq.extras.importing.clock import TIME_NAMES, looks_like_times, rate_of_interval, warn
 from daq.extras.importing.units import GIVE_VALUE_OF_COUNT
 from rig.core.base.errors import RecordingError
 from rig.core.base.escaping import unescape_cell
@@ -34,6 +36,8 @@ _ANGLE_OR_DECIBEL = re.compile(r"deg(rees?)?|°|rad(ians?)?|grad|dB\b.*", re.IGN
 _LINE_NUMBER = re.compile(
     r"(#|no|nr|n|number|line|index|idx|sample|point|row)\.?( ?(#|no|nr|number)\.?)?", re.IGNORECASE
 )
+# A line that announces the line of units below.
+_UNITS_FOLLOW = re.compile(r"\W*(units?|einheit(en)?)\W*", re.IGNORECASE)
 #: Units of time: the first cell of a line of units is one of them, or empty.
 TIME_UNITS = ("s", "ms", "us", "µs", "ns", "sec", "msec", "usec", "µsec", "second", "Second", "Seconds")
 # Units of time or of frequency.
@@ -55,6 +59,8 @@ _FORTRAN_EXPONENT = re.compile(r"(?<=[\d.])[dD](?=[-+]\d+$)")
 _GROUPED_NUMBER = re.compile(r"[-+]?\d{1,3}(?:\.\d{3})+,\d*")
 # A number with marks or blanks between thousands, in a heading.
 _GROUPED_RATE = re.compile(r"\d{1,3}(?:([., ])\d{3})(?:\1\d{3})*")
+# Minimum number of lines of numbers that show that the first column contains line numbers.
+_MIN_NUMBERED_LINES = 5
 # Maximum number of lines of numbers that are examined for decimal commas.
 _MAX_EXAMINED_ROWS = 50
 # A part of a number that a decimal comma separates.
@@ -163,11 +169,11 @@ def detect_layout(path: Path, lines: list[str], encoding: str) -> Layout:
                         + GIVE_VALUE_OF_COUNT
                     )
                 _require_other_delimiter(path, lines[max(number - 1, 0) : number + _MAX_EXAMINED_ROWS], layout)
-                layout = _with_columns(layout, lines, cells)
-                return _with_complex_columns(layout, parts) if len(numbers) > len(cells) else layout
+                layout = _with_columns(path, layout, lines, cells)
+                return _with_complex_columns(path, layout, parts) if len(numbers) > len(cells) else layout
             if delimiter is not None and (positions := _number_positions(lines[number:], layout)):
                 plain_cells = [cell if k in positions else "" for k, cell in enumerate(cells)]
-                return _without_texts(path, _with_columns(layout, lines, plain_cells), cells, positions)
+                return _without_texts(path, _with_columns(path, layout, lines, plain_cells), cells, positions)
     raise RecordingError(
         f"{path}: no line of numbers among the first {len(lines)} lines. Export the data as a table of numbers."
     )
@@ -285,9 +291,14 @@ def expand_complex(line: str, delimiter: str | None) -> str:
     return (delimiter or " ").join(parts) + line[len(line.rstrip("\r\n")) :]
 
 
-def _with_complex_columns(layout: Layout, parts: Sequence[Sequence[str]]) -> Layout:
+def _with_complex_columns(path: Path, layout: Layout, parts: Sequence[Sequence[str]]) -> Layout:
     """Replace each column of complex numbers by two: the real and imaginary parts."""
     included = layout.cells or tuple(range(len(parts)))
+    if len(parts[included[0]]) > 1:
+        raise RecordingError(
+            f"{path} contains complex numbers without frequencies. Add their frequencies as the first column, and read "
+            "the file with `analysis frf`."
+        )
     starts = [0, *accumulate(map(len, parts))]
     names, units, cells = list[str](), list[str](), list[int]()
     for number, (name, unit, position) in enumerate(zip(layout.names, layout.units, included, strict=True), 1):
@@ -309,48 +320,62 @@ def _are_numbers(cells: Sequence[str], decimal_comma: bool) -> bool:
     return None not in values and any(value == value for value in values)
 
 
-def _with_columns(layout: Layout, first_lines: Sequence[str], cells: Sequence[str]) -> Layout:
-    """Add the columns to a layout: their names, units and positions, from the heading and the first line of numbers."""
-    heading = first_lines[: layout.heading_lines]
+def _with_columns(path: Path, layout: Layout, first_lines: Sequence[str], cells: Sequence[str]) -> Layout:
+    """Add names, units and positions of the columns to a layout, from the heading and the first lines of numbers."""
+    heading = [line for line in first_lines[: layout.heading_lines] if not _UNITS_FOLLOW.fullmatch(line)]
     lines = [line.lstrip("#%").strip() if line[:1] in "#%" else line for line in heading if line.strip()]
     rows_above = [split_cells(line, layout.delimiter) for line in lines]
     if layout.delimiter is None and lines and len(rows_above[-1]) > len(cells):
         # A single blank separates a name from its unit.
         rows_above[-1] = re.split(r"\s{2,}", lines[-1].strip())
     rows_above, interval = _without_interval(rows_above)
-    first_cell, stop = 0, len(cells)
+    stop = len(cells)
     if stop > 2 and not cells[-1] and rows_above and not "".join(rows_above[-1][stop - 1 :]):
         # Each line ends with a delimiter.
         stop -= 1
         rows_above = [row[:stop] for row in rows_above]
     names, units = _names_and_units(rows_above, stop)
-    if not any(units[1:]) and (keyed := keyed_heading(rows_above, stop)) is not None:
-        if any(units):
-            # A line of names states the unit of the abscissa only.
-            units = [units[0], *keyed.units[1:]] if len(keyed.units) == len(units) else units
-        else:
-            first_cell = keyed.first_column
-            names = [name or other for name, other in zip(keyed.names, names[first_cell:], strict=True)]
-            units = keyed.units
     keyed_lines = [" ".join(dict.fromkeys(cell for cell in row if cell)) for row in rows_above]
     rate = rate_of_interval(interval) if interval else _stated_rate([*heading, *keyed_lines], layout.decimal_comma)
-    is_numbered = _LINE_NUMBER.fullmatch(names[0]) or names[0] == UNNAMED.format(1)
+    layout = layout._replace(rate=rate)
+    first_cell = int(not interval and _has_line_numbers(layout, first_lines, names, units))
+    is_assumed = first_cell and names[0] == UNNAMED.format(1) and not _is_abscissa(names[1], units[1])
+    if first_cell:
+        names, units = names[1:], units[1:]
+        names = [UNNAMED.format(k) if name.startswith(_NO_NAME) else name for k, name in enumerate(names, 1)]
+    if not any(units[1:]) and (keyed := keyed_heading(rows_above, len(names))) is not None:
+        if any(units):
+            # A line of names states the unit of the abscissa only.
+            units = [units[0], *keyed[1][1:]]
+        else:
+            names, units = [name or other for name, other in zip(keyed[0], names, strict=True)], keyed[1]
+    elif is_assumed:
+        warn(f"{path}: its first column contains line numbers, and is omitted. If it is a signal, add a line of names.")
     # The column of times is empty if the heading states the sample interval.
     is_empty = len(names) > 2 and not cells[first_cell] and _is_abscissa(names[0], units[0])
-    is_numbered_abscissa = len(names) > 2 and is_numbered and _is_abscissa(names[1], units[1])
-    is_omitted = bool(interval or is_empty or is_numbered_abscissa)
-    if rate and _LINE_NUMBER.fullmatch(names[0]):
-        # A force in N has such a name, too. The last line may be truncated.
-        lines_of_numbers = filter(str.strip, first_lines[layout.heading_lines : -1])
-        rows = [split_cells(line, layout.delimiter) for line in lines_of_numbers]
-        numbers = [parse_number("".join(row[first_cell : first_cell + 1]), layout.decimal_comma) for row in rows]
-        is_omitted |= all(before is not None and after == before + 1 for before, after in pairwise(numbers))
-    if len(names) > 1 and is_omitted:
+    if len(names) > 1 and (interval or is_empty):
         first_cell, names, units = first_cell + 1, names[1:], units[1:]
     if len(names) > 2 and _COMMENTS.fullmatch(names[-1]):
         stop, names, units = stop - 1, names[:-1], units[:-1]
     positions = None if (first_cell, stop) == (0, len(cells)) else tuple(range(first_cell, stop))
-    return layout._replace(names=names, units=units, cells=positions, rate=rate)
+    return layout._replace(names=names, units=units, cells=positions)
+
+
+def _has_line_numbers(layout: Layout, first_lines: Sequence[str], names: Sequence[str], units: Sequence[str]) -> bool:
+    """Return whether the first column contains line numbers, by its name and values, or by the abscissa next to it."""
+    is_named = _LINE_NUMBER.fullmatch(names[0]) is not None
+    if not (is_named or names[0] == UNNAMED.format(1)) or _is_abscissa(names[0], units[0]):
+        return False
+    if len(names) > 2 and _is_abscissa(names[1], units[1]):
+        return True
+    # A force in N has such a name, too. The last line may be truncated.
+    lines_of_numbers = filter(str.strip, first_lines[layout.heading_lines : -1])
+    rows = [[*split_cells(line, layout.delimiter), ""] for line in lines_of_numbers] or [["", ""]]
+    first, second = (np.array([parse_number(row[k], layout.decimal_comma) or 0.0 for row in rows]) for k in (0, 1))
+    if len(names) < 2 or (np.diff(first) != 1.0).any():
+        return False
+    is_even = looks_like_times(second, second[-1], second.size) or (np.diff(second) == 1.0).all()
+    return (layout.rate is not None and is_named) or (len(names) > 2 and len(rows) >= _MIN_NUMBERED_LINES and is_even)
 
 
 def _without_interval(rows_above: list[list[str]]) -> tuple[list[list[str]], float | None]:
@@ -416,7 +441,7 @@ def _names_and_units(rows_above: list[list[str]], column_count: int) -> tuple[li
         row_names, row_units = map(list, zip(*map(name_and_unit, row), strict=True))
         above = rows[number + 1] if number + 1 < len(rows) else None
         if above is not None and _are_units(row, above):
-            row_names, row_units = above, [_without_brackets(cell) for cell in row]
+            row_names, row_units = above, [without_brackets(cell) for cell in row]
         # Comments above the names may contain brackets, too.
         if any(row_units) and ((number == 0 and is_named[0]) or _is_abscissa(row_names[0], row_units[0])):
             names, units = row_names, row_units
@@ -433,16 +458,18 @@ def _spaced_slashes(row: list[str]) -> list[str]:
     if not _ABSCISSA_WITH_SLASH.fullmatch(row[0]):
         return row
     pairs = (cell.partition("/") for cell in row)
-    return [f"{name} / {_without_brackets(unit)}" if unit else name for name, _, unit in pairs]
+    return [f"{name} / {without_brackets(unit)}" if unit else name for name, _, unit in pairs]
 
 
 def _are_units(row: Sequence[str], above: Sequence[str]) -> bool:
     """Return whether a line of a heading contains the units of the names in the line above."""
-    units = [_without_brackets(cell) for cell in row]
+    units = [without_brackets(cell) for cell in row]
     has_units, above_has_units = (any(map(is_unit, filter(None, cells[1:]))) for cells in (units, above))
     is_time = units[0] in _ABSCISSA_UNITS or (
         has_units and any(names.fullmatch(above[0]) for names in (TIME_NAMES, _LINE_NUMBER))
     )
+    # A table without times has a unit in each cell.
+    is_time |= all(units) and all(map(is_unit, units)) and all(above) and not any(map(is_unit, above))
     if not is_time or max(map(len, units)) > _MAX_UNIT_LENGTH or (above_has_units and not has_units):
         return False
     in_brackets = all(unit != cell for unit, cell in zip(units, row, strict=True))
@@ -467,10 +494,10 @@ def _is_abscissa(name: str, unit: str) -> bool:
     return TIME_NAMES.fullmatch(name) is not None or unit in _ABSCISSA_UNITS[1:]
 
 
-def _without_brackets(cell: str) -> str:
-    """Return the unit in a cell of a line of units: brackets around the whole cell are removed.
+def without_brackets(cell: str) -> str:
+    """Return a unit without brackets around all of it.
 
-    >>> _without_brackets("[ m/s / N ]"), _without_brackets("(m/s²)/N")
+    >>> without_brackets("[ m/s / N ]"), without_brackets("(m/s²)/N")
     ('m/s / N', '(m/s²)/N')
     """
     match = re.fullmatch(r"\[(.*)\]|\(((?:[^()]|\([^()]*\))*)\)", cell)

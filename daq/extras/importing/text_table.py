@@ -147,7 +147,7 @@ def _lost_samples(before: Signal, after: Signal) -> int:
 
 
 def _labview_signals(path: Path, heading: LabviewHeading, stop: int | None, encoding: str) -> list[Signal]:
-    """List the channels of a segment as signals; a column of times overrides the clock of the heading.
+    """List the channels of a segment as signals; a column of times overrides the heading, unless the rates differ.
 
     `stop`: number of lines in the file before the next segment; None for the last segment.
     """
@@ -164,7 +164,9 @@ def _labview_signals(path: Path, heading: LabviewHeading, stop: int | None, enco
     )
     table = _Table(path, layout)
     clock = table.estimate_clock("s") if has_times else None
-    stated_samples = max(channel.samples for channel in channels)
+    # The times are those of the longest channel. A channel with another rate has fewer rows.
+    longest = max(channels, key=lambda channel: channel.samples)
+    stated_samples = longest.samples
     if stated_samples > table.rows:
         warn(
             f"{path}: the heading states {stated_samples} samples, but the table has only {table.rows}. Check that the "
@@ -191,7 +193,7 @@ def _labview_signals(path: Path, heading: LabviewHeading, stop: int | None, enco
             # Programs append lines without updating the counts in the header. The count of a channel is therefore used
             # only if another channel has a larger count.
             table.values[: table.rows if channel.samples in (-1, stated_samples) else channel.samples, column],
-            clock or Clock(channel.rate, channel.start_s),
+            clock if clock and channel.rate in (None, longest.rate) else Clock(channel.rate, channel.start_s),
             channel.start_ns,
         )
         for position, (column, channel) in enumerate(enumerate(channels, int(has_times)), 1)
@@ -224,7 +226,7 @@ class _Table:
                 require_memory_with_program(_MEMORY_PER_BYTE * n_bytes, f"{path}: importing it")
                 lines_before = self._examined_lines[: self.rows + len(block) - 1]
                 if not following and lines_before and (reason := self._truncation_reason(*block[-1], lines_before)):
-                    warn(f"{path}: the last line is truncated, and is not imported ({reason})")
+                    warn(f"{path}: the last line is invalid or truncated, and is not imported ({reason})")
                     if not (block := block[:-1]):
                         break
                 store.write(self._parse_lines(block).tobytes())

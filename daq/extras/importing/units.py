@@ -50,7 +50,7 @@ def quantity_and_scale(unit: str) -> tuple[Quantity, float]:
     (('acceleration', 9.80665), ('acceleration', 1.0), ('displacement', 0.0025))
     """
     normalized = re.sub(r"\bsec(ond)?\b", "s", unit.strip(), flags=re.IGNORECASE)
-    normalized = re.sub(r"(?<=[a-z])\s*(?:\*\*|\^)?\s*\(?2\)?$", "^2", normalized)
+    normalized = re.sub(r"(?<=[a-z])\s*(?:\*\*|\^)?\s*\(?[2²]\)?$", "^2", normalized)
     # Upper and lower case of a prefix differ: MV is not mV, GN is not gn. Other spellings are tried only for text that
     # is not a unit itself.
     spelling = "" if normalized == "Mv" else _SPELLINGS.get(normalized.lower(), "")

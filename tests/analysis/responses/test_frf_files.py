@@ -261,6 +261,15 @@ def test_missing_systematic_errors_are_reported(tmp_path):
         assert "The file states no systematic errors" in text
 
 
+@pytest.mark.parametrize("stated", ["N/m", "kN/(m/s)", "(N)/(m/s²)", "N s/m", "kg"])
+@pytest.mark.parametrize("unit", [None, "m/s^2/N"])
+def test_dynamic_stiffness_is_refused(stated, unit, tmp_path) -> None:
+    file = tmp_path / "a.csv"
+    file.write_text(f"f [Hz],tip re [{stated}],tip im [{stated}]\n10,1,0\n20,0,-2\n", encoding="utf-8")
+    with pytest.raises(SceneError, match=r"force per motion.*Export its inverse"):
+        analysis.read_frfs(file, unit=unit)
+
+
 @pytest.mark.parametrize(
     ("heading", "problem"),
     [("time,force,acc", "column 'acc'"), ("time [s],f [N],a [g]", "first column contains times")],

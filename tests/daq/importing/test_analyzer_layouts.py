@@ -40,6 +40,11 @@ MESCOPE = (
     "Measurement Type\tFRF\nX Axis Units\tHz\nY Axis Type\tReal/Imaginary\nY Axis Units\t(m/s²)/N\nY Axis DOFs\t1Z:3Z\n"
 )
 SIGNALCALC = "SignalCalc ACE\nTest:\tMünchen\n\nX-Axis(Hz)\tH2,1 Real(m/s²/N)\tH2,1 Imag(m/s²/N)\n"
+SIGNALCALC_RATIO = "Units: Ratio\nChannel Name\t : \n\nFrequency\t Real\t Imaginary\n\nUnits:\nHz\t(m/s²)(N)\t \n"
+PULSE_INDEX = (
+    "PULSE LabShop\nTitle1:\tH1\nX-Axis unit:\tHz\nY-Axis unit:\t(m/s²)/N\nY-Axis type:\tComplex\n"
+    "Domain:\tFrequency\n\nHeader end:\n\nIndex\tX-Axis\tReal\tImag\n"
+)
 SIGNALCALC_TIME = "SignalCalc ACE\nDate:\t12.03.2019\n\nX-Axis(s)\tforce(N)\ttip:+Z(m/s²)\n"
 
 
@@ -65,6 +70,10 @@ def write(path: Path, heading: str, rows: np.ndarray, comma: bool = False) -> Pa
         ("Frequency [Hz]\tMag [dB ref. 1e-6 m/s²/N]\tPhase [°]\n", np.add(DECIBELS, [0.0, 120.0, 0.0]), "response"),
         ("f / kHz\tBetrag / m/s²/N\tPhase / Grad\n", POLAR * [1e-3, 1.0, 1.0], "response"),
         ("f/Hz\tRe/(m/s²/N)\tIm/(m/s²/N)\n", REAL_IMAG, "response"),
+        (PULSE_INDEX, np.insert(REAL_IMAG, 0, np.arange(1, 200), axis=1), "response"),
+        ("Frequency\tMagnitude\tPhase\nHz\tdB(m/s²/N)\tdeg\n", DECIBELS, "response"),
+        ("Frequency\tMagnitude\tPhase\nHz\tdB (re 1 (m/s²)/N)\tdeg\n", DECIBELS, "response"),
+        ("omega [rad/s]\tRe [m/s²/N]\tIm [m/s²/N]\n", REAL_IMAG * [2 * np.pi, 1.0, 1.0], "response"),
         ("Freq\tMag\tPhase\n(Hz)\t((m/s²)/N)\t(deg)\n", POLAR, "response"),
         (
             "\tfrequency_Hz\ttip_real [m/s²/N]\ttip_imag [m/s²/N]\n",
@@ -107,6 +116,34 @@ def test_numbered_samples_have_their_clock(tmp_path: Path) -> None:
     with ExitStack() as stack:
         (force,) = text_signals(write(tmp_path / "a.txt", heading, rows), stack)
         assert (force.name, force.unit, force.rate) == ("force", "N", 1024.0)
+
+
+@pytest.mark.parametrize("step", [0.25, 1.0])
+def test_unnamed_line_numbers_are_omitted(step: float, tmp_path: Path) -> None:
+    rows = np.insert(REAL_IMAG * [4.0 * step, 1.0, 1.0], 0, np.arange(1, 200), axis=1)
+    file = write(tmp_path / "a.txt", "Beam\n\n", rows)
+    with pytest.warns(RunWarning, match="first column contains line numbers"):
+        curve = analysis.read_frfs(file, unit="m/s^2/N")["response"]
+    np.testing.assert_allclose(curve.frequency, 4.0 * step * FREQUENCY)
+    np.testing.assert_allclose(curve.value, ACCELERANCE, rtol=1e-6)
+
+
+def test_adjacent_units_are_a_ratio(tmp_path: Path) -> None:
+    with pytest.warns(RunWarning, match=r"is read as \(m/s²\)/\(N\)"):
+        curve = analysis.read_frfs(write(tmp_path / "a.txt", SIGNALCALC_RATIO, REAL_IMAG))["response"]
+    np.testing.assert_allclose(curve.value, ACCELERANCE, rtol=1e-6)
+
+
+def test_units_below_names_need_no_brackets(tmp_path: Path) -> None:
+    with ExitStack() as stack:
+        signals = text_signals(write(tmp_path / "a.csv", "force\ttip\nN\tm/s^2\n", SAMPLES[:, 1:]), stack)
+        assert [(each.name, each.unit) for each in signals] == [("force", "N"), ("tip", "m/s^2")]
+
+
+def test_complex_numbers_need_frequencies(tmp_path: Path) -> None:
+    (tmp_path / "a.txt").write_text("(1.5+2.5j)\n(1.25-0.5j)\n(1.0+1.5j)\n")
+    with ExitStack() as stack, pytest.raises(RecordingError, match="complex numbers without frequencies"):
+        text_signals(tmp_path / "a.txt", stack)
 
 
 def test_several_responses_have_pairs_of_columns(tmp_path: Path) -> None:

@@ -416,6 +416,16 @@ def labview_segments(starts, name="body1"):
     return heading + "".join(segments)
 
 
+def test_labview_channels_have_their_own_rates(tmp_path):
+    heading = LABVIEW_HEAD.format(name="Tab", point=".", columns="One")
+    heading += "Channels\t3\nSamples\t4\t4\t2\nDelta_X\t1.0E-3\t1.0E-3\t1.0\n" + END_OF_HEADER
+    rows = "0.000\t0.5\t1.5\t2.5\n0.001\t0.6\t1.6\t2.6\n0.002\t0.7\t1.7\n0.003\t0.8\t1.8\n"
+    (tmp_path / "a.lvm").write_text(f"{heading}X_Value\tbody1\tbody2\tlevel\n{rows}")
+    with ExitStack() as stack:
+        signals = text_signals(tmp_path / "a.lvm", stack)
+        assert [(signal.samples, signal.rate) for signal in signals] == [(4, 1000.0), (4, 1000.0), (2, 1.0)]
+
+
 def test_labview_segments_are_joined(tmp_path):
     (tmp_path / "a.lvm").write_text(labview_segments([0.0, 0.003, 5.0]))
     with ExitStack() as stack, pytest.warns(RunWarning, match="3 segments are joined; samples are lost between 1"):

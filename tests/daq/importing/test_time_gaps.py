@@ -119,14 +119,14 @@ def test_truncated_last_line_is_omitted(cut_bytes, tmp_path, imported):
     recording, messages = imported(path, table=TABLE)
     assert recording.samples == 3999
     np.testing.assert_allclose(recording.read("force"), SAMPLES[2, :3999], rtol=1e-9)
-    assert any("last line is truncated, and is not imported" in message for message in messages)
+    assert any("last line is invalid or truncated, and is not imported" in message for message in messages)
 
 
 @pytest.mark.parametrize("rows", [11, 50, BLOCK_LINES + 1])
 def test_truncated_line_after_few_rows_is_omitted(rows, tmp_path):
     path = tmp_path / "a.csv"
     path.write_text("t [s],a [g]\n" + "\n".join(f"{k / 100:.2f},{k + 0.5:.3f}" for k in range(rows))[:-1])
-    with ExitStack() as stack, pytest.warns(RunWarning, match="last line is truncated, and is not imported"):
+    with ExitStack() as stack, pytest.warns(RunWarning, match="last line is invalid or truncated, and is not imported"):
         assert text_signals(path, stack)[0].samples == rows - 1
 
 

@@ -49,6 +49,8 @@ _MIN_ENERGY_RATIO = 1e-30
 _MAX_OVERLOADED_FRACTION = 0.1
 # Lost samples are interpolated if they are at most this fraction of a decay.
 _MAX_LOST_FRACTION = 0.01
+# An imported decay ends at a gap of at least this number of samples: `daq import` inserts 16 between joined files.
+_MIN_PAUSE = 16
 # Assumed frequency of the lowest mode if no mode is detected.
 _DEFAULT_MODE_HZ = 10.0
 
@@ -186,7 +188,8 @@ def decay(rec: Recording, channel: str | None = None, impact: int = 1, modes: in
     impact : int
         Number of the impact to analyze, counted from 1.
     modes : int, optional
-        Maximum number of modes; default: the number of bodies of the structure.
+        Maximum number of modes; default: the number of bodies of the structure, and all modes with a peak in the
+        spectrum of an imported recording.
 
     Returns
     -------
@@ -204,7 +207,8 @@ def decay(rec: Recording, channel: str | None = None, impact: int = 1, modes: in
     warnings += _overload_warnings(rec, info, impact, decay_start, read_stop)
     if fault := faulty_impacts(rec.markers, ()).get(impact):
         warnings.append(f"Impact {impact} was {fault}. Choose another impact, or record again.")
-    max_modes = modes if modes is not None else rec.scene.structure.bodies
+    # The structure in the scene of an imported recording may be a placeholder.
+    max_modes = modes if modes is not None or rec.source else rec.scene.structure.bodies
     # The search range ends at least an octave above the highest mode of the scene.
     highest_mode = max(HIGHEST_MODE_HZ, 2.0 * float(structural_model(rec.scene).modes.frequency.max()))
     lowest_mode = max(LOWEST_MODE_HZ, rec.rate / (decay_stop - decay_start))
@@ -218,7 +222,7 @@ def decay(rec: Recording, channel: str | None = None, impact: int = 1, modes: in
         modal_decay(acceleration, rec.rate, float(f), band_width(peak_frequencies, i), begin, clock=clock)
         for i, f in enumerate(peak_frequencies)
     )
-    if len(decays) < max_modes:
+    if max_modes is not None and len(decays) < max_modes:
         warnings.append(
             f"Only {len(decays)} of {max_modes} modes have a peak in the decay of {info.name} between "
             f"{lowest_mode:.3g} and {highest_mode:.4g} Hz. Choose another channel for the other modes."
@@ -330,6 +334,9 @@ def _decay_limits(rec: Recording, info: ChannelInfo, impact: int) -> tuple[int, 
     # before this response.
     read_stop = arrival(info, ranges[impact][0], ranges[impact][0])[0] if impact < len(ranges) else rec.samples
     max_response_delay = arrival(info, 0, 0)[1]
+    if rec.source:
+        long_gaps = (gap.first_sample for gap in rec.gaps if gap.last_sample - gap.first_sample + 1 >= _MIN_PAUSE)
+        read_stop = min(read_stop, next((first for first in long_gaps if first > last), read_stop))
     decay_start, decay_stop = last + 1, read_stop - max_response_delay
     # Include samples before the impact so that the band-pass starts with the structure at rest.
     read_start = max(first - int(0.5 * rec.rate), ranges[impact - 2][1] + 1 if impact > 1 else 0, 0)

@@ -138,11 +138,12 @@ class ModalDecay(Result):
         return float(np.interp(amplitude, rising, damping, left=np.nan, right=np.nan))
 
 
-def spectral_peaks(acceleration: Array, rate: float, max_peaks: int, low: float, high: float) -> Array:
-    """Return the frequencies of the `max_peaks` highest resonances of a decay in ascending order [Hz].
+def spectral_peaks(acceleration: Array, rate: float, max_peaks: int | None, low: float, high: float) -> Array:
+    """Return the frequencies of the `max_peaks` (None: all) highest resonances of a decay in ascending order [Hz].
 
-    A resonance is a peak of the spectrum with a prominence of 10 dB and a height of 20 dB above the median of the band.
-    Its frequency is refined by a parabola through the logarithm of three bins.
+    A resonance is a peak of the spectrum with a prominence of 10 dB and a height of 15 dB above the median of the band.
+    Noise exceeds this height at one of a billion lines. Without noise, the median is on the flank of a mode. The
+    frequency is refined by a parabola through the logarithm of three bins.
     """
     padded_length = fft.next_fast_len(4 * acceleration.size, real=True)
     taper = np.cos(np.linspace(0.0, np.pi / 2, acceleration.size)) ** 2
@@ -150,7 +151,7 @@ def spectral_peaks(acceleration: Array, rate: float, max_peaks: int, low: float,
     frequency = fft.rfftfreq(padded_length, 1.0 / rate)
     inside = (frequency >= low) & (frequency <= high)
     magnitude_db, frequency = magnitude_db[inside], frequency[inside]
-    indices, _ = scipy.signal.find_peaks(magnitude_db, prominence=10.0, height=float(np.median(magnitude_db)) + 20.0)
+    indices, _ = scipy.signal.find_peaks(magnitude_db, prominence=10.0, height=float(np.median(magnitude_db)) + 15.0)
     distinct: list[int] = []
     for peak in indices[np.argsort(magnitude_db[indices], kind="stable")[::-1]]:
         # Dampers that come to rest shift the natural frequency. This smears or splits the peak of a single mode.

@@ -23,6 +23,7 @@ from analysis.core.modal.pole_errors import pole_errors, refined_pole_errors, sy
 from analysis.core.modal.refinement import Refinement, refine
 from analysis.core.modal.several_references import separate
 from analysis.core.modal.window_fits import IdentifiedPoles, identify_windows, no_poles
+from analysis.core.modal_models.lscf import ChartPole
 from analysis.core.modal_models.order_selection import are_in_band
 from analysis.core.modal_models.pole_residue import UPPER_TERMS, Curves, ModalModel, modal_receptance, residual_terms
 from analysis.core.responses.errors.systematic import IRREGULAR
@@ -90,18 +91,13 @@ def identify(frfs: Response | Sequence[Response], count: int | None = None) -> M
         )
     labeled = [replace(frf, label=frf.label or "responses") for frf in frfs]
     all_lines = [frf.to("displacement").sorted() for frf in labeled]
-    curves = remove_unbounded(reduce_lines(all_lines))
-    if are_errors_stated(curves):
-        fitted = fit_modes(curves, count)
-        measured, chart = fitted.measured, fitted.chart
-        fitted_poles = _modes_of_band(curves, fitted)
-    else:
-        measured, sigma = measured_curves(curves)
-        charts = stabilization_diagrams(measured, sigma)
-        chart, used = charts[0], {curve.response for curve in curves}
-        used_lines = [curve for curve in all_lines if curve.response in used]
-        fitted_poles = identify_windows(used_lines, measured, charts, count)
+    curves, measured, chart, fitted_poles = _fit_lines(all_lines, count)
     if not fitted_poles.poles.size:
+        if _fit_lines([replace(lines, value=lines.value.conj()) for lines in all_lines], count)[-1].poles.size:
+            raise RecordingError(
+                f"{curves[0].label}: the phases have the opposite sign: only the complex conjugates contain modes. "
+                "Change the sign of the phase or of the imaginary part."
+            )
         reason = " ".join(rejections(fitted_poles)) or (
             "no resonance is higher than the noise and wider than the frequency resolution."
         )
@@ -150,6 +146,20 @@ def identify(frfs: Response | Sequence[Response], count: int | None = None) -> M
     unused = [frf.response for frf in frfs if frf.response not in result.responses]
     notes = mode_warnings(result, curves, count, fitted_poles, uncertain, unmeasured, unused)
     return replace(result, warnings=(*curves[0].warnings, *notes))
+
+
+def _fit_lines(
+    all_lines: Sequence[Response], count: int | None
+) -> tuple[list[Response], Curves, Sequence[ChartPole], IdentifiedPoles]:
+    """Return the curves with uncertainty, their common lines, a stabilization diagram, and the modes."""
+    curves = remove_unbounded(reduce_lines(all_lines))
+    if are_errors_stated(curves):
+        fitted = fit_modes(curves, count)
+        return curves, fitted.measured, fitted.chart, _modes_of_band(curves, fitted)
+    measured, sigma = measured_curves(curves)
+    charts, used = stabilization_diagrams(measured, sigma), {curve.response for curve in curves}
+    used_lines = [curve for curve in all_lines if curve.response in used]
+    return curves, measured, charts[0], identify_windows(used_lines, measured, charts, count)
 
 
 def _modes_of_band(curves: Sequence[Response], fitted: FittedModes) -> IdentifiedPoles:

@@ -21,10 +21,11 @@ _MIN_LINES = 8
 def exchange_points(curves: Sequence[Response]) -> Response:
     """Exchange output and input of curves; outputs of the result are the points of impact, and inputs are the sensors.
 
+    Curves without a place of the force are named after their files.
     Raises `SceneError` if there is one point only, or if a point lacks a sensor or has impacts in several tests. Raises
     `RecordingError` if the curves have too few lines in common.
     """
-    by_points = {(curve.input_at, curve.output_at or curve.response): curve for curve in curves}
+    by_points = {(curve.input_at or curve.label, curve.output_at or curve.response): curve for curve in curves}
     points, sensors = (list(dict.fromkeys(names)) for names in zip(*by_points, strict=True))
     if len(points) < 2 or not len(by_points) == len(curves) == len(points) * len(sensors):
         raise SceneError(

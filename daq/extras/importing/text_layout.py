@@ -22,7 +22,7 @@ from rig.core.settings.quantities import is_unit
 _MAX_HEADING_LINES = 200
 # A unit in brackets after a name; the unit may contain parentheses. A number before the unit is a range or a scale:
 # ``X (100g)`` is the 100 g sensor of a logger.
-_UNIT_IN_BRACKETS = re.compile(r"(.*?)\s*[\[(](?!\d)([^\[\]()]*(?:\([^\[\]()]*\)[^\[\]()]*)?)[\])]\s*")
+_UNIT_IN_BRACKETS = re.compile(r"(.*?)\s*[\[(](?!\d)([^\[\]()]*(?:\([^\[\]()]*\)[^\[\]()]*)*)[\])]\s*")
 # A unit after an underscore, as `analysis export` writes it.
 _UNIT_AFTER_UNDERSCORE = re.compile(r"(.+)_(m/s\^?2|m/s²|m/s|m|N|V|g|s|ms|us|ns|k?Hz)")
 # A unit after a slash between blanks (ISO 80000-1), or after "in": ``f / kHz``, ``force in N``.

@@ -14,7 +14,7 @@ from analysis.core.decays.modal_decay import band_width, modal_decay, spectral_p
 from analysis.core.decays.sensor_correction import correct_motion
 from analysis.core.recordings.slices import impact_ranges
 from daq.core.signal_chain.channel import ChannelInfo
-from rig.core.base.errors import RecordingError, SceneError
+from rig.core.base.errors import RecordingError, RunWarning, SceneError
 from tests.analysis.responses import synthetic
 
 MODAL_DAMPING = 0.005  # damping ratio of each mode of the synthetic structure and of `STIFF_BODY`
@@ -124,6 +124,30 @@ def test_amplitude_dependent_damping_lies_within_bounds(law, noise):
     error = abs(mode.damping - DAMPING_LAWS[law](mode.amplitude))
     assert mode.damping.size > 10 and np.mean(error <= 2.0 * mode.damping_std) >= 0.95
     assert np.median(mode.damping_std / mode.damping) < 0.1
+
+
+def test_imported_decays_end_with_their_files(tmp_path):
+    rate, natural, ratio = 2048.0, np.array([18.3, 47.6, 83.9]), np.array([0.012, 0.008, 0.015])
+    time = np.arange(2400)[:, None] / rate
+    tip = ([4.0, 8.0, 12.0] * np.exp(-2 * np.pi * ratio * natural * time) * np.sin(2 * np.pi * natural * time)).sum(1)
+    tip, force = (np.concatenate([np.zeros(300), part]) for part in (tip, np.sin(np.pi * time[:5, 0] * rate / 4)))
+    files = [tmp_path / f"{k}.npz" for k in (1, 2)]
+    for k, file in enumerate(files):
+        noise = 1e-3 * np.random.default_rng(k).standard_normal((2, tip.size))
+        np.savez(file, fs=rate, force=np.pad(100.0 * force, (0, tip.size - force.size)) + noise[0], tip=tip + noise[1])
+    scene = """
+        structure: {masses: [1 kg], springs: [1 kN/m], damping: {dashpots: [1 N s/m]}}
+        test: {kind: impulse, body: 1, peak: 100 N, width: 2 ms}
+        channels: [{name: force, at: hammer}, {name: tip, at: body 1}]
+        """
+    table = {"force": {"column": "force", "unit": "N"}, "tip": {"column": "tip", "unit": "m/s^2"}}
+    with pytest.warns(RunWarning):
+        path = daq.import_files(files, rig.loads(scene), tmp_path / "a.mcap", table=table)
+    with daq.open(path) as rec:
+        decay = analysis.decay(rec)
+    assert decay.time[-1] < 2400 / rate and decay.warnings == ()
+    np.testing.assert_allclose([mode.frequency for mode in decay.modes], natural, rtol=1e-3)
+    assert max(mode.noise for mode in decay.modes) < 0.02
 
 
 def test_displacement_channel_gives_acceleration_decay(tmp_path):

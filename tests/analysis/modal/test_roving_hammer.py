@@ -1,5 +1,6 @@
 """Hits at several points with fixed sensors give the modes of one hit and sensors at these points."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -58,6 +59,19 @@ def test_common_lines_are_used() -> None:
     np.testing.assert_array_equal(exchanged.frequency, FREQUENCY[100:])
     with pytest.raises(RecordingError, match="0 frequencies in common"):
         exchange_points([hit(1, 3), hit(2, 3, FREQUENCY + 0.01)])
+
+
+def test_points_without_places_are_named_after_files() -> None:
+    curves = [Response.curve(FREQUENCY, receptance(point, 3), "response", label=f"point{point}") for point in (1, 2, 3)]
+    modes = analysis.identify(exchange_points(curves))
+    assert modes.responses == ("point1", "point2", "point3")
+    np.testing.assert_allclose(modes.shapes.real, SHAPES / [1.0, -0.9], atol=0.01)
+
+
+def test_opposite_sign_of_phase_is_reported() -> None:
+    curve = hit(2, 3)
+    with pytest.raises(RecordingError, match="hit 2: the phases have the opposite sign"):
+        analysis.identify([replace(curve, value=curve.value.conj())])
 
 
 @pytest.mark.parametrize("pairs", [[(1, 3)], [(1, 3), (1, 3)], [(1, 3), (2, 2)]])

@@ -108,7 +108,7 @@ def test_incomplete_responses_name_missing_options(tmp_path):
     with pytest.raises(SceneError, match=r"2 references. Choose one with `reference`: 1 \+Z, 7 \+X"):
         analysis.read_frfs(tmp_path / "a.uff", unit="m/N")
     assert len(analysis.read_frfs(tmp_path / "a.uff", "7 +X", "m/N")) == 2
-    with pytest.raises(SceneError, match="expected motion per force"):
+    with pytest.raises(SceneError, match="force per motion"):
         analysis.read_frfs(tmp_path / "a.uff", "7 +X", "N/m")
 
 

@@ -72,7 +72,6 @@ def write(path: Path, heading: str, rows: np.ndarray, comma: bool = False) -> Pa
         ("f/Hz\tRe/(m/s²/N)\tIm/(m/s²/N)\n", REAL_IMAG, "response"),
         (PULSE_INDEX, np.insert(REAL_IMAG, 0, np.arange(1, 200), axis=1), "response"),
         ("Frequency\tMagnitude\tPhase\nHz\tdB(m/s²/N)\tdeg\n", DECIBELS, "response"),
-        ("Frequency\tMagnitude\tPhase\nHz\tdB (re 1 (m/s²)/N)\tdeg\n", DECIBELS, "response"),
         ("omega [rad/s]\tRe [m/s²/N]\tIm [m/s²/N]\n", REAL_IMAG * [2 * np.pi, 1.0, 1.0], "response"),
         ("Freq\tMag\tPhase\n(Hz)\t((m/s²)/N)\t(deg)\n", POLAR, "response"),
         (

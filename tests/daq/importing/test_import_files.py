@@ -419,7 +419,7 @@ def labview_segments(starts, name="body1"):
 def test_labview_channels_have_their_own_rates(tmp_path):
     heading = LABVIEW_HEAD.format(name="Tab", point=".", columns="One")
     heading += "Channels\t3\nSamples\t4\t4\t2\nDelta_X\t1.0E-3\t1.0E-3\t1.0\n" + END_OF_HEADER
-    rows = "0.000\t0.5\t1.5\t2.5\n0.001\t0.6\t1.6\t2.6\n0.002\t0.7\t1.7\n0.003\t0.8\t1.8\n"
+    rows = "0.000\t0.5\t1.5\t2.5\n0.001\t0.6\t1.6\t2.6\n0.002\t0.7\t1.7\t\n0.003\t0.8\t1.8\t\n"
     (tmp_path / "a.lvm").write_text(f"{heading}X_Value\tbody1\tbody2\tlevel\n{rows}")
     with ExitStack() as stack:
         signals = text_signals(tmp_path / "a.lvm", stack)

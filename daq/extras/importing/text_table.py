@@ -371,7 +371,7 @@ class _Table:
         if len(row) != len(layout.names):
             raise _InvalidLine(
                 f"{where}: {len(row)} columns; expected {len(layout.names)}, as in the first line of numbers",
-                "Correct or remove the line.",
+                "Correct or remove the line. If a second table begins there, export it to its own file.",
             )
         values = []
         for column, cell in enumerate(row, 1):

@@ -340,9 +340,7 @@ def _with_columns(path: Path, layout: Layout, first_lines: Sequence[str], cells:
     layout = layout._replace(rate=rate)
     first_cell = int(not interval and _has_line_numbers(layout, first_lines, names, units))
     is_assumed = first_cell and names[0] == UNNAMED.format(1) and not _is_abscissa(names[1], units[1])
-    if first_cell:
-        names, units = names[1:], units[1:]
-        names = [UNNAMED.format(k) if name.startswith(_NO_NAME) else name for k, name in enumerate(names, 1)]
+    names, units = names[first_cell:], units[first_cell:]
     if not any(units[1:]) and (keyed := keyed_heading(rows_above, len(names))) is not None:
         if any(units):
             # A line of names states the unit of the abscissa only.
@@ -350,6 +348,7 @@ def _with_columns(path: Path, layout: Layout, first_lines: Sequence[str], cells:
         else:
             names, units = [name or other for name, other in zip(keyed[0], names, strict=True)], keyed[1]
     elif is_assumed:
+        names = [UNNAMED.format(k) if name.startswith(_NO_NAME) else name for k, name in enumerate(names, 1)]
         warn(f"{path}: its first column contains line numbers, and is omitted. If it is a signal, add a line of names.")
     # The column of times is empty if the heading states the sample interval.
     is_empty = len(names) > 2 and not cells[first_cell] and _is_abscissa(names[0], units[0])

@@ -224,7 +224,8 @@ def _ratio(where: str, stated: str, given: str | None = None) -> tuple[str, floa
             raise SceneError(
                 f"{where}: the unit {text!r} is force per motion (dynamic stiffness). Export its inverse, such as m/N."
             )
-    unit = without_brackets((given or stated).strip())
+    # Tables written by this program contain m/(N s^2).
+    unit = re.sub(r"/\(N (s|s\^2|s²)\)", r"/\1/N", without_brackets((given or stated).strip()))
     if not unit:
         raise SceneError(f"{where}: the file states no unit. Give the unit, such as `unit` m/s^2/N.")
     if ratio := re.fullmatch(r"(\([^()]+\))\s*(\([^()]+\))", unit):
@@ -233,18 +234,13 @@ def _ratio(where: str, stated: str, given: str | None = None) -> tuple[str, floa
     for pattern in (
         r"\(?1/\(?(?P<denominator>[^()*]+)\)?\)?\s*\*\s*\(?(?P<numerator>[^()]+)\)?",
         r"\((?P<numerator>.+)\)\s*/\s*\(?(?P<denominator>[^()/]+)\)?",
-        r"(?P<numerator>.+?)\s*/\s*\(?(?P<denominator>[^/()\s]+)(?:\s+s(?:\^?2|²)?)?\)?",
+        r"(?P<numerator>.+?)\s*/\s*\(?(?P<denominator>[^/()\s]+)\)?",
     ):
-        match = re.fullmatch(pattern, unit)
-        if match is None:
-            continue
-        numerator, denominator = match["numerator"], match["denominator"]
-        # Notation of tables written by this program: m/(N s^2).
-        if tail := re.fullmatch(r"(.+)/\((N) (s|s\^2|s²)\)", unit):
-            numerator, denominator = f"{tail[1]}/{tail[3]}", tail[2]
-        (motion, motion_unit), (force, force_unit) = map(_quantity_and_scale, (numerator, denominator))
-        if motion in MOTIONS and force == "force":
-            return motion, motion_unit / force_unit
+        if match := re.fullmatch(pattern, unit):
+            parts = match.group("numerator", "denominator")
+            (motion, motion_unit), (force, force_unit) = map(_quantity_and_scale, parts)
+            if motion in MOTIONS and force == "force":
+                return motion, motion_unit / force_unit
     raise SceneError(
         f"{where}: unit {unit!r}; expected motion per force, such as m/N, m/s/N, m/s^2/N or g/N. To identify the poles "
         "of other responses, such as sound pressures, give `unit` m/s^2/N; the shapes then have the unit of the file."

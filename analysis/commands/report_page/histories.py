@@ -23,9 +23,9 @@ _MAX_SAMPLES = 60_000
 # A long recording is divided into this number of intervals.
 _INTERVALS = 1500
 # Maximum number of channels with panels of their own; more would make a page too long.
-_MAX_LANES = 8
+_MAX_PANELS = 8
 # Limits of an axis, relative to the largest value.
-_LANE_MARGIN = 1.05
+_AXIS_MARGIN = 1.05
 # An axis begins at this negative fraction of the largest value if no value is below it.
 _ONE_SIDED = 0.1
 # Maximum number of spectra in a spectrogram; more would not be visible in its width.
@@ -55,16 +55,16 @@ def time_histories(rec: Recording, names: Sequence[str]) -> Chart:
         scale, shown_unit = (1e3, "mm") if unit == "m" else (1.0, unit.replace("^2", "²"))
         places = [names.index(name) for name in selected]
         curves = [Curve(names[k], time, scale * rows[k], style=styles[k]) for k in places]
-        # A channel would hide the others. Panels of the same unit have the same limits.
-        largest = _LANE_MARGIN * scale * float(np.nanmax(abs(rows[places]), initial=0.0)) or 1.0
+        # In one panel, channels would hide each other. Panels of the same unit have the same limits.
+        largest = _AXIS_MARGIN * scale * float(np.nanmax(abs(rows[places]), initial=0.0)) or 1.0
         # The force of a hammer has one sign.
         is_positive = scale * float(np.nanmin(rows[places], initial=0.0)) > -_ONE_SIDED * largest
         limits = (-_ONE_SIDED * largest if is_positive else -largest, largest)
-        lanes = [[curve] for curve in curves] if len(names) <= _MAX_LANES else [curves]
-        for lane in lanes:
-            quantity = lane[0].label if len(lane) == 1 else rec.channels[selected[0]].quantity
-            height = 90 if len(lane) == 1 else 170
-            panels.append(Panel(quantity, shown_unit, lane, height, limits=limits))
+        groups = [[curve] for curve in curves] if len(names) <= _MAX_PANELS else [curves]
+        for group in groups:
+            quantity = group[0].label if len(group) == 1 else rec.channels[selected[0]].quantity
+            height = 90 if len(group) == 1 else 170
+            panels.append(Panel(quantity, shown_unit, group, height, limits=limits))
     resolution = "every sample" if is_complete else f"largest and smallest value of each of {_INTERVALS} intervals"
     part = f" of {len(names)} of {len(rec.channels)} channels" * (len(names) < len(rec.channels))
     return Chart(

@@ -170,7 +170,7 @@ def restitution(motion: BodyMotion, damper: Damper) -> Restitution | None:
 
 
 def inelastic_closing_speeds(scene: Scene, detected: Impacts, damper: Damper) -> Array:
-    """Return the closing speeds [m/s] for zero restitution on a body with one damper; infinite without mass."""
+    """Return the closing speeds of the impacts of the only damper for zero restitution [m/s]; infinite without mass."""
     return np.asarray(abs(detected.jump) * _speed_per_jump(scene, damper))
 
 

@@ -57,7 +57,7 @@ class TestKind(StrEnum):
 
     @property
     def field(self) -> str:
-        """Field of `measure` markers that distinguishes this kind from the kinds below; empty if there is none."""
+        """Field of `measure` markers that distinguishes this kind from all kinds listed after it; empty without one."""
         fields = {"tones": "frequency", "sweep": "spacing", "multisine": "realisation", "random": "from"}
         return fields.get(self.value, "")
 

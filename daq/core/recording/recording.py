@@ -343,7 +343,7 @@ class Recording(Result):
 
     @cached_property
     def events(self) -> NDArray[Any]:
-        """True contact events of the dampers and joints, one a row.
+        """True contact events of the dampers and joints, one per row.
 
         Fields: `time` [s], `damper` (number, from 1), `kind` (such as `floor` or `separation`), and `speed`, the
         closing speed before an impact [m/s]. If joints have events, there is a field `joint`: the number of the joint,

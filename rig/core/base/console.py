@@ -92,7 +92,7 @@ def replace_streams(cleanup: ExitStack) -> None:
 
 
 def report_written(*files: Path) -> None:
-    """Print the names of the files that a command wrote, one a line."""
+    """Print the names of the files that a command wrote, one per line."""
     for file in files:
         print(f"wrote {file}")
 

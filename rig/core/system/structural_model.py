@@ -68,7 +68,7 @@ class TunedMass:
     damping: float
 
     def dynamic_stiffness(self, omega: Array) -> ComplexArray:
-        """Return the force on the body that is needed for its motion, per displacement [N/m]; `omega`: rad/s."""
+        """Return the force of the body on this mass per displacement of the body [N/m]; `omega`: rad/s."""
         spring = self.stiffness + 1j * omega * self.damping
         inertia = -(omega**2) * self.mass
         return np.asarray(spring * inertia / (spring + inertia))

@@ -56,7 +56,7 @@ class SteadyBed:
 
     @property
     def steady(self) -> bool:
-        """Whether the last two blocks agree."""
+        """Whether the motion is steady: the last two blocks of periods agree."""
         return self.spread < MAX_STEADY_CHANGE
 
 

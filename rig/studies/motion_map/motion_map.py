@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 KINDS = ("riding", "I", "II", "III", "other, every period", "longer period", "irregular")
 #: The type of motion is determined when the motion deviates from the steady state by at most this fraction.
 STEADY_TOLERANCE = 1e-6
-#: Longest wait, in decay times of the slowest mode to the tolerance; motion without repetition is irregular.
+#: Longest wait, in decay times of the slowest mode to the tolerance; a motion without a cycle is irregular.
 MAX_WAIT_DECAY_TIMES = 3.0
 #: The limit of the wait is at least this number of periods; a smaller limit would save little time.
 MIN_WAIT_LIMIT_PERIODS = 2000
@@ -70,7 +70,7 @@ class MotionMap(Result):
     impacts : ndarray, shape (rows, frequencies)
         Impacts of all dampers and joints per period.
     repetition : ndarray of int, shape (rows, frequencies)
-        Periods of the drive after which the motion repeats; 0 if no repetition was detected.
+        Periods of the drive in a cycle of the motion; 0 without a cycle.
     periods : ndarray of int, shape (rows, frequencies)
         Periods computed to reach steady state from the previous frequency; a test on the rig waits differently.
     cpu : ndarray, shape (rows, frequencies)
@@ -103,7 +103,7 @@ class MotionMap(Result):
         )
 
     def columns(self) -> dict[str, NDArray[Any]]:
-        """Return all points of the grid: location, type of motion, impacts, repetition and computed periods."""
+        """Return all points of the grid: location, type of motion, impacts, periods of a cycle, computed periods."""
         motions = np.array([each.split("/") for each in self.motion.ravel()]).T
         names = [f"damper{k}" for k in range(1, len(motions) - len(self.scene.joints) + 1)]
         names += [f"joint{k}" for k in range(1, len(self.scene.joints) + 1)]
@@ -167,7 +167,7 @@ class MotionMap(Result):
 
     @property
     def settling_time(self) -> Array:
-        """Return the time to reach steady state from the motion at the previous frequency [s]; NaN without repetition.
+        """Return the time to reach steady state from the motion at the previous frequency [s]; NaN without a cycle.
 
         The time is a multiple of the interval between checks of the computation. On the rig, the wait begins at a
         different motion.

@@ -1,11 +1,12 @@
-"""Predict at which frequencies dampers leave their floors (fly) in a test, and list the modes outside its band.
+"""Predict at which frequencies dampers and joints act in a test, and list the modes outside its band.
 
-A damper leaves its floor if the acceleration of the body exceeds gravity, and a sliding mass slips if it exceeds the
-product of friction and gravity.
+A bed leaves its floor (flies) if its acceleration exceeds gravity, and a sliding mass slips if it exceeds the product
+of friction and gravity. A mass on a spring hits a wall, a stop closes and a friction joint slips at a displacement.
 """
 
 import math
 from collections.abc import Sequence
+from operator import itemgetter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,8 +20,8 @@ from rig.core.results import format_frequencies, format_number
 from rig.core.scene.excitation import Test
 from rig.core.scene.excitation.stepped_sine import SteppedTest
 from rig.core.scene.scene import Scene
-from rig.core.system.hybrid_system import HybridSystem
-from rig.core.system.open_loop_drive import damper_accelerations
+from rig.core.system.hybrid_system import Element, HybridSystem
+from rig.core.system.open_loop_drive import loadings_per_level
 from rig.core.system.structural_model import structural_model
 
 # Maximum number of modes that a text lists; a longer list would hide the remedy.
@@ -32,46 +33,48 @@ _MAX_GRID_POINTS = 20_000
 
 
 def onset_level(scene: Scene, system: HybridSystem) -> float:
-    """Return the lowest level at which a damper leaves its floor in a tone or sweep; infinite for other tests."""
+    """Return the lowest level at which a damper or joint acts in a tone or sweep; infinite for other tests."""
     loadings = _loadings_per_level(scene, system, test_frequencies(scene.test))
     with np.errstate(divide="ignore"):
         return float((1.0 / loadings).min(initial=np.inf))
 
 
 def _loadings_per_level(scene: Scene, system: HybridSystem, frequencies: Array) -> Array:
-    """Return accelerations of resting dampers per level, relative to separation; (dampers, frequencies) or empty."""
-    if not system.dampers or scene.test is None or not scene.test.single_tone:
+    """Return loadings of dampers and joints in linear motion, see `loadings_per_level`; (elements, frequencies)."""
+    test = scene.test
+    if test is None or not test.single_tone or not test.levels or not system.elements:
         return np.zeros((0, 0))
     try:
-        accelerations = damper_accelerations(scene, system, 2.0 * np.pi * frequencies)
+        return loadings_per_level(scene, system, 2.0 * np.pi * frequencies)
     except SceneError:
         return np.zeros((0, 0))
-    return np.asarray(accelerations / system.separation_acceleration[:, None])
 
 
 def flying_tones(scene: Scene, system: HybridSystem, level: float, tones: Array) -> NDArray[np.bool_]:
-    """Return for each tone [Hz] whether the linear response makes a damper fly; `level`: level of the tones."""
+    """Return for each tone [Hz] whether the linear response makes a damper or joint act; `level`: of the tones."""
     loadings = level * _loadings_per_level(scene, system, tones)
     return np.asarray((loadings > 1.0).any(axis=0)) if loadings.size else np.zeros(tones.size, dtype=bool)
 
 
 def flight_lines(scene: Scene, system: HybridSystem, level: float, rehearsals: Sequence[Rehearsal]) -> tuple[str, ...]:
-    """Return lines that state for each damper whether, where and when it flies in `rehearsals` of the test.
+    """Return a line for each damper and joint that states whether and where it acts in `rehearsals` of the test.
 
-    Flights in a steady state, flights in the waits before it, and flights between the points of a stepped sine are
-    stated separately.
+    Action in a steady state, action in the wait before it, and action between the points of a stepped sine are stated
+    separately.
     """
     test, frequencies = scene.test, test_frequencies(scene.test)
     loadings = level * _loadings_per_level(scene, system, frequencies)
     grid = _grid_between(test, frequencies) if loadings.size else frequencies[:0]
     grid_loadings = level * _loadings_per_level(scene, system, grid)
-    names_by_text: dict[tuple[str, bool], list[str]] = {}
-    for row, number in enumerate(system.damper_number.tolist()):
-        if np.isinf(system.separation_acceleration[row]):
+    lines = []
+    for row, element in enumerate(system.elements):
+        # A mass on a spring without walls is linear.
+        if not element.law.starts_at_rest and element.distance == np.inf:
             continue
+        place, (acts, rests) = _place_and_action(scene, element)
         phrases, remedy = [], ""
         if loadings.size:
-            is_steady, is_transient = _flights_at(frequencies, loadings[row] > 1.0, number - 1, rehearsals)
+            is_steady, is_transient = _actions_at(frequencies, loadings[row] > 1.0, row, rehearsals)
             if is_steady.any():
                 phrases.append(f"at {format_frequencies(frequencies.tolist(), is_steady.tolist())}")
             if is_transient.any():
@@ -82,26 +85,30 @@ def flight_lines(scene: Scene, system: HybridSystem, level: float, rehearsals: S
                 if bands := runs_of(is_between):
                     phrases.append(f"between points at {format_frequencies(grid.tolist(), is_between.tolist())}")
                     remedy = ". " + test.remedy_between([(grid[first - 1], grid[stop]) for first, stop in bands])
-        elif times := [time for rehearsal in rehearsals for time in rehearsal.impact_times[number - 1]]:
-            phrases.append(f"first at {min(times):.2f} s")
-        damper = scene.dampers[number - 1]
-        key = "; ".join(phrases) + remedy, damper.friction is not None
-        names_by_text.setdefault(key, []).append(f"damper {number} ({scene.structure.label(damper.body)})")
-    lines = []
-    for (text, slides), names in names_by_text.items():
-        verb, plural = ("slips", "slip") if slides else ("flies", "fly")
-        if not text:
-            verb, plural = ("sticks", "stick") if slides else ("stays on its floor", "stay on their floors")
-        lines.append(f"{' and '.join(names)} {verb if len(names) == 1 else plural} {text}".rstrip())
+        elif times := [(time, each) for each in rehearsals for time in each.event_times[row]]:
+            time, rehearsal = min(times, key=itemgetter(0))
+            frequency = rehearsal.frequency_at(round(time * rehearsal.rate))
+            phrases.append(f"first at {time:.2f} s" if frequency is None else f"first at {frequency:.4g} Hz")
+        lines.append(f"{place} {acts} {'; '.join(phrases)}{remedy}" if phrases else f"{place} {rests}")
     return tuple(lines)
 
 
-def _flights_at(
-    frequencies: Array, is_predicted: NDArray[np.bool_], damper: int, rehearsals: Sequence[Rehearsal]
-) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return at which frequencies a damper flies in the measurement, and where it flies only in the wait before it.
+def _place_and_action(scene: Scene, element: Element) -> tuple[str, tuple[str, str]]:
+    """Return the name of a damper or joint with its place, and what it does at a high and at a low level."""
+    label = scene.structure.label
+    if element.is_joint:
+        joint = scene.joints[element.number - 1]
+        return f"joint {element.number} ({joint.locations(label)})", joint.action
+    damper = scene.dampers[element.number - 1]
+    return f"damper {element.number} ({label(damper.body)})", damper.action
 
-    A rehearsed measurement replaces the linear prediction. `damper`: index of the damper in the scene.
+
+def _actions_at(
+    frequencies: Array, is_predicted: NDArray[np.bool_], row: int, rehearsals: Sequence[Rehearsal]
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Return at which frequencies an element acts in the measurement, and where it acts only in the wait before it.
+
+    A rehearsed measurement replaces the linear prediction. `row`: index of the element in the system.
     """
     is_steady, is_transient = is_predicted.copy(), np.zeros(frequencies.size, dtype=bool)
 
@@ -112,10 +119,10 @@ def _flights_at(
         measured = [index_of(step.frequency) for step in rehearsal.steps if step.is_measurement and step.is_evaluated]
         is_steady[measured] = False
     for rehearsal in rehearsals:
-        for time in rehearsal.impact_times[damper]:
+        for time in rehearsal.event_times[row]:
             sample = round(time * rehearsal.rate)
-            flights = is_steady if rehearsal.is_measured(sample) else is_transient
-            flights[index_of(rehearsal.frequency_at(sample))] = True
+            actions = is_steady if rehearsal.is_measured(sample) else is_transient
+            actions[index_of(rehearsal.frequency_at(sample))] = True
     return is_steady, is_transient & ~is_steady
 
 

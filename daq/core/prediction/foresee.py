@@ -202,12 +202,12 @@ class _Assessment:
     def foresight(self, impact_remedy: str) -> Foresight:
         """Return the prediction; `impact_remedy`: setting to change if impacts of zero duration overload a sensor."""
         expectations = (*self._channels(), *self._sensors(), *self._outputs(), *self._loads())
-        dampers_fly = any(any(part.impact_times) for part in self.unlimited_test.parts)
+        is_nonlinear = any(any(part.event_times) for part in self.unlimited_test.parts)
         by_ratio_to_limit = sorted(expectations, key=lambda row: row.driven_share)
         limiting = by_ratio_to_limit[-1] if by_ratio_to_limit else None
         largest_level = np.nan
         if limiting is not None and limiting.driven_share > 0.0 and self.key:
-            largest_level, dampers_fly = self._largest_level(limiting, dampers_fly)
+            largest_level, is_nonlinear = self._largest_level(limiting, is_nonlinear)
             # At the level of the nearest limit, another may be exceeded; the second nearest is therefore checked too.
             second_ratio = by_ratio_to_limit[-2].driven_share if len(by_ratio_to_limit) > 1 else 0.0
             if second_ratio > 0.0:
@@ -225,7 +225,7 @@ class _Assessment:
             largest_level=largest_level,
             level_unit=self.level_unit,
             limited_by=limiting if np.isfinite(largest_level) else None,
-            nonlinear=dampers_fly,
+            nonlinear=is_nonlinear,
             aborts=self.rehearsed_test.aborted,
             signals=signals,
             hidden=(
@@ -358,13 +358,13 @@ class _Assessment:
                 unit, limit = quantity.unit, quantity.limit
                 yield Expectation(name, unit, magnitude, frequency, time, limit, "shaker", magnitude > limit)
 
-    def _largest_level(self, limiting: Expectation, dampers_fly: bool) -> tuple[float, bool]:
-        """Return the largest level without overload, and whether dampers fly at this level or at the test's level."""
+    def _largest_level(self, limiting: Expectation, is_nonlinear: bool) -> tuple[float, bool]:
+        """Return the largest level without overload, and whether a damper or joint acts at it or at the test level."""
         onset = onset_level(self.scene, self.system)
         if not np.isfinite(limiting.driven_share):
             return onset, True
         level = self.level / limiting.driven_share
-        return level, dampers_fly or level > onset
+        return level, is_nonlinear or level > onset
 
     def _duration(self) -> _Duration:
         rehearsed_test, test = self.rehearsed_test, test_of(self.scene)
@@ -410,7 +410,7 @@ class _Assessment:
         return _Duration.within(seconds, _ABORT_RATIO)
 
     def _rehearsed_waits(self, part: Rehearsal, is_beginning: bool) -> Iterable[tuple[float, _Duration]]:
-        """Yield the frequency of each tone at which dampers fly in a part, and the wait until the motion is steady.
+        """Yield the frequency of each tone of a part at which a damper or joint acts, and the wait for it.
 
         A part at the beginning of the test settles exactly as the test does, so its settled tones without flights are
         included too. A tone that did not settle in the rehearsal may settle soon after, or take the longest wait that
@@ -418,7 +418,7 @@ class _Assessment:
         the two limits were 10 and 60 s.
         """
         longest = test_of(self.scene).steady_state.longest
-        times = np.array([time for damper in part.impact_times for time in damper]) * self.bench.rate
+        times = np.array([time for element in part.event_times for time in element]) * self.bench.rate
         for settle, measure in zip(part.steps[::2], part.steps[1::2], strict=False):
             wait = (settle.stop - settle.first) / self.bench.rate
             latest = wait if measure.settled else max(longest, wait)

@@ -92,11 +92,11 @@ class Foresight(Result):
     largest_level: float  # largest level without overload; NaN without a limit
     level_unit: str
     limited_by: Expectation | None  # maximum that limits `largest_level`
-    nonlinear: bool  # whether dampers fly, so `largest_level` is approximate
+    nonlinear: bool  # whether dampers or joints act, so `largest_level` is approximate
     aborts: str | None  # reason why the test will abort; None if it will not
     signals: dict[str, LowestSignalToNoise] = field(default_factory=dict)  # by channel name
     hidden: tuple[str, ...] = ()  # warnings about signals below the resolution or noise, and about an unresolved force
-    flights: tuple[str, ...] = ()  # lines about dampers in flight
+    flights: tuple[str, ...] = ()  # lines about the action of dampers and joints
     seconds: float = 0.0  # duration of the test [s]
     seconds_range: tuple[float, float] = (0.0, 0.0)  # shortest and longest probable duration [s]
     settled_sensors: float = 0.0  # time until the bias of the sensors has settled [s]; it is part of `seconds`
@@ -177,7 +177,7 @@ class Foresight(Result):
         shortest, longest = self.seconds_range
         if longest > _MIN_RANGE_RATIO * shortest > 0.0:
             about = f"{duration_text(shortest)} to {duration_text(longest)}, {about}"
-            reason = " (waits with dampers in flight are uncertain)" if self.nonlinear else ""
+            reason = " (waits with moving dampers or joints are uncertain)" if self.nonlinear else ""
         if self.settled_sensors >= 1.0:
             reason += f", of which {duration_text(self.settled_sensors)} until the bias of the sensors has settled"
         lines.append(

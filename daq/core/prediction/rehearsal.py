@@ -19,13 +19,17 @@ from daq.core.recording.recorder import Recorder
 from daq.core.virtual_bench.bench import Bench, Block
 from rig.core.base.arrays import Array
 from rig.core.base.output_files import temporary_folder
+from rig.core.laws.events import CONTACT_EVENTS, EVENT_NAMES, SLIP
 from rig.core.scene.scene import Scene
 from rig.core.scene.shaker import Load, at_shaker
+from rig.core.system.assembly import assemble
 
 #: Readings in this fraction of the settling time of the sensor's bias belong to the power-on transient.
 POWER_ON_RATIO = 0.5
-# Time after a stored impact without further stored impacts of this damper [s], to limit the memory.
-_MIN_IMPACT_INTERVAL_S = 0.5
+# Time after a stored event without further stored events of this damper or joint [s], to limit the memory.
+_MIN_EVENT_INTERVAL_S = 0.5
+# Events at which a damper or joint acts; the others end a contact or slip.
+_ACTING_EVENTS = EVENT_NAMES[[*CONTACT_EVENTS, SLIP]]
 # Duration at the end of a rehearsal whose blocks are stored [s].
 _STORED_END_S = 4.0
 
@@ -111,9 +115,11 @@ class Rehearsal(BenchLoop):
         self.loads = Extremes(len(loads))  # loads in the order of `loads_of`
         # Largest closing speed of each damper before an impact [m/s].
         self.closing_speed = np.zeros(len(scene.dampers))
-        # Times of the impacts of each damper [s].
-        self.impact_times: list[list[float]] = [[] for _ in scene.dampers]
-        self._next_stored_s = [-1.0] * len(scene.dampers)  # time from which an impact is stored next [s]
+        # Times at which each damper or joint hits a wall, closes or slips [s], by its index in the system.
+        elements = assemble(scene).elements
+        self._rows = {(element.is_joint, element.number): row for row, element in enumerate(elements)}
+        self.event_times: list[list[float]] = [[] for _ in elements]
+        self._next_stored_s = [-1.0] * len(elements)  # time from which an event is stored next [s]
         self.steps: list[Step] = []
         # Last measured interval without a constant tone: its first sample, and the sample after its last.
         self.measured: tuple[int, int] | None = None
@@ -164,7 +170,7 @@ class Rehearsal(BenchLoop):
         return None if self._excluded_dwells else error
 
     def on_block(self, block: Block, readings: Array) -> None:
-        """Update the extremes of channels, bodies and tables, and the impacts of dampers."""
+        """Update the extremes of channels, bodies and tables, and the events of dampers and joints."""
         self.last_blocks.append(block)
         self._stored_samples += block.samples.shape[1]
         while self._stored_samples - self.last_blocks[0].samples.shape[1] > _STORED_END_S * self.rate:
@@ -186,15 +192,17 @@ class Rehearsal(BenchLoop):
             self._add_events(motion.events)
 
     def _add_events(self, events: NDArray[Any]) -> None:
-        """Update the closing speeds and the times of impacts."""
-        columns = (events[name].tolist() for name in ("damper", "speed", "time"))
-        for number, speed, time in zip(*columns, strict=True):
-            if number == 0 or speed == 0.0:
-                continue
-            self.closing_speed[number - 1] = max(self.closing_speed[number - 1], speed)
-            if time > self._next_stored_s[number - 1]:
-                self.impact_times[number - 1].append(time)
-                self._next_stored_s[number - 1] = time + _MIN_IMPACT_INTERVAL_S
+        """Update the closing speeds and the times of events."""
+        acting = events[np.isin(events["kind"], _ACTING_EVENTS)]
+        columns = (acting[name].tolist() for name in ("damper", "speed", "time"))
+        joints = acting["joint"].tolist() if "joint" in (acting.dtype.names or ()) else [0] * len(acting)
+        for number, speed, time, joint in zip(*columns, joints, strict=True):
+            if number:
+                self.closing_speed[number - 1] = max(self.closing_speed[number - 1], speed)
+            row = self._rows[joint > 0, joint or number]
+            if time > self._next_stored_s[row]:
+                self.event_times[row].append(time)
+                self._next_stored_s[row] = time + _MIN_EVENT_INTERVAL_S
 
     def on_window(self, first: int, drive: Array, overload: NDArray[np.bool_]) -> None:
         """Update the extremes of the drives, and the overloads."""
@@ -213,7 +221,7 @@ class Rehearsal(BenchLoop):
             is_measurement, is_evaluated = kind == "measure", not self._excluded_dwells
             self.steps.append(Step(first, stop, float(fields["frequency"]), settled, is_measurement, is_evaluated))
             self._excluded_dwells -= is_measurement and not is_evaluated
-            # The first impact of the next step is stored.
+            # The first event of the next step is stored.
             self._next_stored_s = [stop / self.rate] * len(self._next_stored_s)
             if is_measurement:
                 measured = [maxima for block_first, maxima in self._block_maxima if block_first >= first]

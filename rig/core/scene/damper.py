@@ -171,6 +171,13 @@ class Damper(Settings):
         return self.impacts and self.contact is None and self.grains is None
 
     @property
+    def action(self) -> tuple[str, str]:
+        """Return what the mass does at a high level, and what it does at a low level."""
+        if self.friction:
+            return "slips", "sticks"
+        return ("flies", "stays on its floor") if self.falls_freely else ("hits a wall", "hits no wall")
+
+    @property
     def walls_text(self) -> str:
         """Return the distances of the walls from a mass on its spring, such as "1 mm below and 2 mm above"."""
         distances = {"below": self.below, "above": self.clearance}

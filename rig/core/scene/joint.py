@@ -40,8 +40,9 @@ _Ends = Annotated[
 
 
 class _Joint(Settings):
-    """Settings that all kinds of joints have."""
+    """Settings that all kinds of joints have; `action`: what a joint does at a high level, and at a low level."""
 
+    action: ClassVar[tuple[str, str]]
     between: _Ends
     """The lower and the upper of two bodies, by number from 1 or name; one of them may be ground."""
 
@@ -56,7 +57,7 @@ class _Joint(Settings):
         if self.between[0] == self.between[1]:
             yield Problem(("between",), f"both ends are {self.between[0]}; expected two bodies, or a body and ground")
 
-    def _locations(self, label: Callable[[int], str]) -> str:
+    def locations(self, label: Callable[[int], str]) -> str:
         """Name both ends; `label`: returns the name of a body for its number."""
         lower, upper = (end if isinstance(end, str) else label(end) for end in self.between)
         return f"between {lower} and {upper}"
@@ -66,6 +67,7 @@ class Stop(_Joint):
     """A stop: spring and dashpot that act between two bodies, or a body and the ground, while its gap is closed."""
 
     slip_force: ClassVar[float | None] = None
+    action: ClassVar = ("closes", "stays open")
     gap: Annotated[float, Quantity(LENGTH, at_least=0.0)]
     """Distance of the two contact points at rest, before the weight of the dampers deforms the structure [m]; 0: they
     touch without force."""
@@ -92,7 +94,7 @@ class Stop(_Joint):
         dashpot = f", {self.damping:.4g} N s/m" if self.damping else ""
         if self.restitution is not None:
             dashpot = f", restitution {self.restitution:.4g}"
-        return f"stop {self._locations(label)}, gap {self.short_text}, {self.stiffness:.4g} N/m{dashpot}"
+        return f"stop {self.locations(label)}, gap {self.short_text}, {self.stiffness:.4g} N/m{dashpot}"
 
 
 class FrictionJoint(_Joint):
@@ -101,6 +103,7 @@ class FrictionJoint(_Joint):
     gap: ClassVar[float] = 0.0
     damping: ClassVar[float] = 0.0
     restitution: ClassVar[float | None] = None
+    action: ClassVar = ("slips", "sticks")
     slip_force: Annotated[float, Quantity(FORCE, above=0.0)]
     """Force at which the slider moves [N]; at rest the joint has no force."""
     stiffness: Annotated[float, Quantity(STIFFNESS, above=0.0)]
@@ -113,7 +116,7 @@ class FrictionJoint(_Joint):
 
     def text(self, label: Callable[[int], str]) -> str:
         """Describe the joint; `label`: returns the name of a body for its number."""
-        return f"friction joint {self._locations(label)}, {self.short_text}, {self.stiffness:.4g} N/m"
+        return f"friction joint {self.locations(label)}, {self.short_text}, {self.stiffness:.4g} N/m"
 
 
 Joint = Annotated[Stop | FrictionJoint, Alternatives(by_key)]

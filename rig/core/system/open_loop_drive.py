@@ -136,6 +136,26 @@ def _damper_accelerations(system: HybridSystem, response: ComplexArray, omega: A
     return np.asarray(omega**2 * np.abs(displacements))
 
 
+def loadings_per_level(scene: Scene, system: HybridSystem, omega: Array) -> Array:
+    """Return the loadings of all dampers and joints per level, (elements, frequencies).
+
+    An element with a loading of 1 ends the linear motion, see `separation_levels`. Without such a limit, it is 0.
+    """
+    return _loadings(system, _response_per_level(scene, system, omega), omega)
+
+
+def _loadings(system: HybridSystem, response: ComplexArray, omega: Array) -> Array:
+    """Return the loadings of all elements in a response, as `loadings_per_level`."""
+    loadings = np.zeros((len(system.elements), response.shape[1]))
+    loadings[: system.dampers] = (
+        _damper_accelerations(system, response, omega) / system.separation_acceleration[:, None]
+    )
+    for row in _between_walls(system):
+        with np.errstate(divide="ignore"):
+            loadings[row] = np.abs(system.elements[row].along_gap(response.T)) / system.elements[row].distance
+    return loadings
+
+
 def linear_limits(scene: Scene, frequency: Array) -> Array:
     """Return the amplitudes of the bodies at which linear motion ends [m], shape (bodies, frequencies).
 
@@ -158,10 +178,8 @@ def separation_levels(scene: Scene, frequency: Array) -> Array:
 
 def _separation_drive(system: HybridSystem, response: ComplexArray, omega: Array) -> Array:
     """Return the factor by which a response is multiplied where linear motion ends, shape (frequencies,)."""
-    gaps, distance = _gaps_between_walls(system, response)
     with np.errstate(divide="ignore"):
-        to_separation = system.separation_acceleration[:, None] / _damper_accelerations(system, response, omega)
-        return np.asarray(np.concatenate([to_separation, distance[:, None] / gaps]).min(axis=0))
+        return np.asarray(1.0 / _loadings(system, response, omega).max(axis=0))
 
 
 def gaps_per_level(scene: Scene, system: HybridSystem, omega: Array) -> Array:
@@ -170,15 +188,18 @@ def gaps_per_level(scene: Scene, system: HybridSystem, omega: Array) -> Array:
     For a joint with friction, the slip displacement replaces the wall. `omega`: rad/s, shape (frequencies,). Shape of
     the result: (elements, frequencies).
     """
-    return _gaps_between_walls(system, _response_per_level(scene, system, omega))[0]
+    response = _response_per_level(scene, system, omega)
+    gaps = [np.abs(system.elements[row].along_gap(response.T)) for row in _between_walls(system)]
+    return np.array(gaps).reshape(-1, omega.size)
 
 
-def _gaps_between_walls(system: HybridSystem, response: ComplexArray) -> tuple[Array, Array]:
-    """Return the amplitudes of gaps between walls in a response, and their distances from the nearer wall [m]."""
-    elements = [element for element in system.elements if element.distance < np.inf and not element.law.starts_at_rest]
-    distance = [element.distance for element in elements]
-    gaps = [np.abs(element.along_gap(response.T)) for element in elements]
-    return np.array(gaps).reshape(-1, response.shape[1]), np.array(distance)
+def _between_walls(system: HybridSystem) -> list[int]:
+    """Return the numbers of the elements that rest between walls."""
+    return [
+        row
+        for row, element in enumerate(system.elements)
+        if element.distance < np.inf and not element.law.starts_at_rest
+    ]
 
 
 def with_ideal_force(scene: Scene) -> Scene:

@@ -346,6 +346,42 @@ def test_flight_between_points_names_points_to_add(points) -> None:
     assert "between" not in line and line.startswith("damper 1 (body 1) flies at")
 
 
+@pytest.mark.parametrize(
+    ("joint", "limit", "action"),
+    [
+        ({"gap": "0.2 mm", "stiffness": "5 kN/m"}, 0.2e-3, "closes"),
+        ({"slip_force": "0.4 N", "stiffness": "5 kN/m"}, 0.4 / 5e3, "slips"),
+    ],
+)
+def test_joint_acts_where_its_limit_is_exceeded(joint, limit, action) -> None:
+    test = {"kind": "stepped_sine", "from": "10 Hz", "to": "40 Hz", "points": 16, "force": "0.3 N"}
+    scene = one_body(test, joints=[{"between": ["ground", 1], **joint}])
+    frequencies = np.array(scene.test.order)
+    # A joint with friction is a spring below its limit.
+    springs = (15790.0 + 5e3 * (action == "slips"),)
+    linear = scene.replace(joints=(), structure=scene.structure.replace(springs=springs))
+    exceeding = frequencies[0.3 * abs(receptance(linear, frequencies)[0]) > limit]
+    (line,) = daq.foresee(scene).flights
+    assert line.split(";")[0] == f"joint 1 (between ground and body 1) {action} at " + (
+        f"{exceeding[0]:g} Hz" if exceeding.size == 1 else f"{exceeding[0]:g} to {exceeding[-1]:g} Hz"
+    )
+    (line,) = daq.foresee(scene.replace(test={**test, "force": "0.01 N"})).flights
+    assert line.endswith("stays open" if action == "closes" else "sticks")
+
+
+def test_controlled_sweep_states_frequency_of_first_flight() -> None:
+    profile = {"frequencies": ["10 Hz", "30 Hz"], "acceleration": ["0.3 g", "0.3 g"]}
+    test = {"kind": "sine_control", "from": "10 Hz", "to": "30 Hz", "duration": "20 s", "profile": profile}
+    channels = [{"name": "table", "at": "table", "accelerometer": {"sensitivity": "100 mV/g"}}]
+    scene = one_body(
+        {**test, "control": {"channels": ["table"]}}, shaker={"kind": "base"}, dampers=[HEAVY_DAMPER], channels=channels
+    )
+    (line,) = daq.foresee(scene).flights
+    # The mode at 19.5 Hz amplifies 0.3 g to above 1 g from 16.3 Hz.
+    frequency = float(re.fullmatch(r"damper 1 \(body 1\) flies first at (.*) Hz", line)[1])
+    assert frequency == pytest.approx(19.5 * np.sqrt(1.0 - 0.3), rel=0.03)
+
+
 def test_smallest_signal_is_that_of_weakest_tone() -> None:
     sensor = {"sensitivity": "100 mV/g", "noise": "1 mg/sqrt(Hz)"}
     test = {"kind": "stepped_sine", "frequencies": [5.0, 20.0], "force": "1 N", "measure": {"periods": 20}}
@@ -507,7 +543,7 @@ def test_range_of_duration_contains_steps_that_do_not_settle() -> None:
     # The recording takes 1225 s; several steps at the resonances do not become steady in 60 s.
     assert shortest < 1225.0 < longest and foresight.seconds == pytest.approx(1225.0, rel=0.1)
     assert f"{shortest / 60:.1f} min to {longest / 60:.1f} min, about" in str(foresight)
-    assert "(waits with dampers in flight are uncertain)" in str(foresight)
+    assert "(waits with moving dampers or joints are uncertain)" in str(foresight)
 
 
 def test_duration_of_levels_is_proportional_to_a_rehearsed_level() -> None:

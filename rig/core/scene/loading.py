@@ -118,7 +118,10 @@ def loads_si(text: str, where: str) -> Scene:
 
     Raises `SceneError` if the scene has problems; the message has one line for each.
     """
-    scene = loads(text, where)
+    with warnings.catch_warnings():
+        # Its numbers have no units, in contrast to those of the user, which were checked when the user's file was read.
+        warnings.simplefilter("ignore", SceneWarning)
+        scene = loads(text, where)
     scene.discard_notation()
     return scene
 

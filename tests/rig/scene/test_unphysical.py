@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 import daq
 import rig
 from rig.core.base.errors import RunError, SceneWarning
+from rig.core.scene.loading import loads_si
 from tests.rig.scene.test_scene_mistakes import error_of
 
 # Positive definite stiffness matrix, N/m.
@@ -83,6 +84,12 @@ CHAIN = "structure: {masses: [%s, 0.7 kg], springs: [%s, 20 kN/m]}\ndampers: [{b
 def test_improbable_spring_or_mass_names_likely_intent(values, message) -> None:
     with pytest.warns(SceneWarning, match=message):
         rig.loads(CHAIN % values)
+
+
+def test_scene_of_a_recording_is_not_checked_for_units() -> None:
+    structure = "structure: {masses: [22 kg, 55 kg], springs: [60 kN/m, 48 kN/m], damping: {modal: 12 %}}"
+    scene = rig.loads(structure + "\ndampers: [{body: 1, mass_ratio: 300 %, clearance: 20 cm}]")
+    assert loads_si(scene.to_si_yaml(), "scene.yaml") == scene
 
 
 def test_soft_spring_among_si_values_is_accepted() -> None:

@@ -55,8 +55,8 @@ _HEADING = (
 # Warning if the 95 % interval of a peak is unbounded.
 _UNBOUNDED_PEAKS = (
     "Some peaks may be higher than measured. Possible causes: only three points; a jump, a gap or the end of the curve "
-    "next to the highest point; dampers that begin to move between the points. Measure there with a smaller frequency "
-    "spacing, in both directions (test.direction: both) and without overloads."
+    "next to the highest point; dampers or joints that begin to act between the points. Measure there with a smaller "
+    "frequency spacing and without overloads, and sweep in both directions."
 )
 # Warning if the uncertainty of a peak is large.
 _UNDETERMINED_PEAKS = (

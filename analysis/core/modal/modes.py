@@ -193,7 +193,7 @@ class Modes(Result):
         shapes = zip(bodies.shapes.T.real, expand(bodies.errors).T, strict=True)
         empty = [""] * self.frequency.size
         rows = [
-            (frequency, damping + note, mac_text, *map(format_interval, *shape), "")
+            (frequency, damping + note, mac_text, *map(_component_text, *shape), "")
             for (frequency, damping), note, mac_text, shape in zip(
                 map(self.cells, range(self.frequency.size)), damping_notes or empty, mac_texts or empty, shapes,
                 strict=True,
@@ -426,3 +426,12 @@ def _shape_matrix(shapes: NDArray[np.generic] | Modes) -> ComplexArray:
             f"mac: got {type(shapes).__name__}; expected modes or their shapes, such as analysis.identify(frfs)"
         )
     return np.asarray(shapes, dtype=complex)
+
+
+def _component_text(component: float, expanded: float) -> str:
+    """Write a component of a shape with its interval, unless this contains all components from -1 to 1.
+
+    >>> _component_text(-0.31, 0.05), _component_text(0.2, 45.0)
+    ('-0.310 ± 0.050', 'not determined')
+    """
+    return "not determined" if expanded >= 1.0 + abs(component) else format_interval(component, expanded)

@@ -325,13 +325,13 @@ def _is_file_name(path: Path) -> bool:
 def _prepare_recordings(*paths: Path) -> None:
     """Check the paths of new recordings before the bench is switched on; the recorder checks them only afterwards.
 
-    Missing folders are created below the current folder only: elsewhere, they are probably mistyped.
+    A missing folder is created, but not several in each other: such a path is probably mistyped.
     """
     for path in paths:
         _reject_other_suffix(path)
         folder = path.resolve().parent
-        if not (folder.exists() or folder.is_relative_to(Path.cwd())):
-            raise RecordingError(f"{path}: there is no folder {folder}. Create it first, or correct the path.")
+        if not (folder.exists() or folder.parent.exists()):
+            raise RecordingError(f"{path}: there is no folder {folder.parent}. Create it first, or correct the path.")
     prepare_outputs(*paths, error_type=RecordingError)
 
 

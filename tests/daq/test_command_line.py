@@ -40,8 +40,8 @@ def test_recording_with_other_extension_is_rejected(command):
 
 
 @pytest.mark.parametrize("command", ["record fig9", "serve fig9", "bench fig9"])
-def test_missing_folder_elsewhere_is_rejected(command, tmp_path):
-    result = CliRunner().invoke(app, [*command.split(), "-o", str(tmp_path / "missing" / "a.mcap")])
+def test_several_missing_folders_are_rejected(command, tmp_path):
+    result = CliRunner().invoke(app, [*command.split(), "-o", str(tmp_path / "missing" / "runs" / "a.mcap")])
     assert isinstance(result.exception, RecordingError)
     assert "missing. Create it first, or correct the path" in str(result.exception)
     assert not (tmp_path / "missing").exists()

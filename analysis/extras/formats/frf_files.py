@@ -47,8 +47,11 @@ _DECIBELS = re.compile(
 )
 # Units of frequencies, and their values in Hz.
 _FREQUENCY_UNITS = {"hz": 1.0, "khz": 1e3, "rad/s": 0.5 / np.pi}
-# Largest relative variation of the spacing of lines of a DFT, due to rounding in a table.
-_MAX_SPACING_SPREAD = 0.05
+# Largest deviation of a step between lines of a DFT from a multiple of their spacing, due to rounding in a table,
+# relative to the spacing.
+_MAX_ROUNDING = 0.05
+# A DFT has at least this share of such steps. Tones at a constant ratio have a smaller share.
+_MIN_EVEN_SHARE = 0.8
 # Assumed noise bandwidth in lines: that of a Hann window, because files do not state the window.
 _HANN_BANDWIDTH_LINES = 1.5
 # Plausible range of the largest magnitude of a response, in SI units; both limits are far from any real structure.
@@ -431,9 +434,7 @@ def _curve(
     """Build a curve from its valid lines in order of frequency; `bound`: systematic limit, infinite if unknown."""
     lines = _valid_lines(f"{path}: {name}", frequency, value)
     if resolution is None or not 0.0 <= resolution < np.inf:
-        steps = np.diff(frequency[lines])
-        is_even = steps.size > 0 and np.ptp(steps) < _MAX_SPACING_SPREAD * steps.mean()
-        resolution = _HANN_BANDWIDTH_LINES * float(steps.mean()) if is_even else 0.0
+        resolution = _HANN_BANDWIDTH_LINES * _dft_spacing(frequency[lines])
 
     def column(values: Array | None) -> Array:
         """Select the valid lines; NaN where the file has no value or an impossible value."""
@@ -456,6 +457,22 @@ def _curve(
         resolution=resolution,
         omitted=np.sort(frequency[(frequency > 0) & np.isfinite(frequency) & ~np.isfinite(value)]),
     )
+
+
+def _dft_spacing(frequency: Array) -> float:
+    """Return the spacing of ascending lines of a DFT, some of which may be absent; 0 for other frequencies.
+
+    >>> _dft_spacing(np.array([0.33, 0.67, 1.0, 1.33, 2.0, 3.33, 3.67])), _dft_spacing(np.geomspace(1.0, 100.0, 50))
+    (0.335, 0.0)
+    """
+    steps = np.diff(frequency)
+    if not steps.size:
+        return 0.0
+    # Absent lines make some steps larger, so the spacing is one of the smaller steps.
+    spacing = float(np.quantile(steps, 0.25))
+    deviation = abs(steps / spacing - np.maximum(np.round(steps / spacing), 1.0))
+    is_even = np.quantile(deviation, _MIN_EVEN_SHARE) < _MAX_ROUNDING
+    return float(steps[abs(steps - spacing) < _MAX_ROUNDING * spacing].mean()) if is_even else 0.0
 
 
 def _valid_lines(where: str, frequency: Array, value: NDArray[Any]) -> NDArray[np.intp]:

@@ -194,6 +194,25 @@ def test_lines_are_sorted_by_frequency(tmp_path):
     assert tip.frequency.tolist() == [10.0, 20.0, 30.0] and tip.value.real.tolist() == [1.0, 2.0, 3.0]
 
 
+@pytest.mark.parametrize(
+    ("absent", "cell"),
+    [([], ""), ([40], ""), ([40], "nan"), ([40], None), ([10, 11, 12, 50, 90], None), (range(2, 99, 3), None)],
+)
+def test_absent_lines_do_not_change_resolution(absent, cell, tmp_path):
+    # Two digits make the steps unequal: 0.33 and 0.34 Hz.
+    rows = [f"{line / 3.0:.2f},{line}.5,1" for line in range(1, 100) if cell is not None or line not in absent]
+    if cell is not None:
+        rows = [f"{row.split(',')[0]},{cell},{cell}" if k in absent else row for k, row in enumerate(rows)]
+    (tmp_path / "a.csv").write_text("\n".join(["f [Hz],tip re [m/N],tip im [m/N]", *rows]))
+    assert analysis.read_frfs(tmp_path / "a.csv")["tip"].resolution == pytest.approx(0.5, rel=0.02)
+
+
+def test_tones_at_constant_ratio_have_no_resolution(tmp_path):
+    rows = [f"{f:.6g},{f},1" for f in np.geomspace(10.0, 20.0, 60)]
+    (tmp_path / "a.csv").write_text("\n".join(["f [Hz],tip re [m/N],tip im [m/N]", *rows]))
+    assert analysis.read_frfs(tmp_path / "a.csv")["tip"].resolution == 0.0
+
+
 @pytest.mark.parametrize("extension", ["uff", "csv"])
 def test_errors_and_modes_survive_a_written_file(extension, tmp_path):
     value = accelerance()[:, 1:] / (2j * np.pi * FREQUENCY[1:]) ** 2

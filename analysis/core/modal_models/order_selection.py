@@ -29,13 +29,17 @@ MAX_MODES = 12
 _MIN_DEGREES = 8
 # A pole must reduce the misfit by this multiple of the penalty term of Schwarz's criterion (BIC) [1]_.
 _PENALTY_FACTOR = 2.0
-# With a single reference, two poles are resolved if their distance is at least this value, in mean half-power widths.
-# With several references, closer poles are distinguished by their shapes.
+# With a single reference, two poles of similar shapes are resolved if their distance is at least this value, in mean
+# half-power widths. With several references, closer poles are distinguished by their shapes.
 _MIN_DISTANCE_WIDTHS = 0.4
 # The smallest distance of two resolved poles if a model error is assumed, or if curves state no uncertainty. Closer
 # poles may represent an error, because two poles fit a peak of any shape. Tuned on a measured milling tool: at 0.4 its
 # modes depended on the band.
 _MIN_ERRONEOUS_DISTANCE_WIDTHS = 0.8
+# Poles at any distance are resolved if the MAC of their shapes is at most this value: the responses then have different
+# resonances. Two poles that are fitted to one peak have nearly the same shape. The peaks of a nonlinear structure,
+# where the residual exceeds stated errors, may differ between responses; their poles require the distance.
+_MAX_RESOLVED_MAC = 0.5
 # Two poles are close if their distance is at most this value, in mean half-power widths. Close poles are accepted only
 # if their local misfit is at noise level, because two close poles can fit the skewed peak of a nonlinear structure.
 _CLOSE_POLE_WIDTHS = 4.0
@@ -201,9 +205,14 @@ def computational_poles(curves: Curves, model: ModalModel) -> NDArray[np.intp]:
         mean_width = width[low] + width[high]
         # The window broadens a narrow peak, but to less than twice the frequency resolution.
         is_same_peak = mean_width < 2.0 * curves.resolution and distance < _SAME_PEAK_RATIO * curves.resolution
+        is_nonlinear = curves.are_errors_stated and curves.has_model_error
         is_exact = curves.are_errors_stated and not curves.has_model_error
         min_distance = _MIN_DISTANCE_WIDTHS if is_exact else _MIN_ERRONEOUS_DISTANCE_WIDTHS
-        is_unresolved = curves.references == 1 and distance < min_distance * mean_width
+        is_unresolved = (
+            curves.references == 1
+            and distance < min_distance * mean_width
+            and (is_nonlinear or _shape_mac(curves, model.residue[:, [low, high]]) > _MAX_RESOLVED_MAC)
+        )
         is_close = distance < _CLOSE_POLE_WIDTHS * mean_width
         if (
             is_same_peak
@@ -212,6 +221,12 @@ def computational_poles(curves: Curves, model: ModalModel) -> NDArray[np.intp]:
         ):
             rejected |= {low, high}
     return np.array(sorted(rejected), dtype=np.intp)
+
+
+def _shape_mac(curves: Curves, residue: ComplexArray) -> float:
+    """Return the MAC of two shapes, shape (responses, 2), of responses that are divided by their largest magnitudes."""
+    first, second = (residue / abs(curves.value).max(axis=1)[:, None]).T
+    return float(abs(np.vdot(first, second)) ** 2 / (np.vdot(first, first) * np.vdot(second, second)).real)
 
 
 def _local_misfit(curves: Curves, model: ModalModel, poles: ComplexArray) -> float:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import scipy
 from matplotlib.figure import Figure
 
 import analysis
@@ -180,6 +181,22 @@ def test_stabilization_diagram_shows_poles_and_modes():
     assert np.all(np.sum(distance < 0.005 * modes.frequency, axis=0) > 10)
 
 
+@pytest.mark.parametrize(
+    ("natural", "zeta"),
+    [((98.5, 101.5), (0.032, 0.016)), ((99.5, 100.5), (0.02, 0.012)), ((97.0, 103.0), (0.03, 0.02))],
+)
+def test_close_modes_of_different_responses_are_separated(natural, zeta):
+    # A file without errors: each mode is in one response only, as in two directions of a machine.
+    random, frequency = np.random.default_rng(0), np.arange(50.0, 150.0, 0.25)
+    s, omega = 2j * np.pi * frequency[:, None], 2 * np.pi * np.array(natural)
+    value = 1.0 / (s**2 + 2.0 * np.array(zeta) * omega * s + omega**2)
+    value *= 1.0 + 2e-3 * (random.standard_normal(value.shape) + 1j * random.standard_normal(value.shape))
+    modes = analysis.identify([Response.curve(frequency, row, name) for name, row in zip("xy", value.T, strict=True)])
+    assert modes.frequency == pytest.approx(natural, abs=0.2)
+    assert np.all(abs(modes.frequency - natural) < 3.0 * modes.frequency_std)
+    assert np.all(abs(modes.damping - zeta) < 3.0 * modes.damping_std)
+
+
 @pytest.mark.parametrize("has_model_error", [False, True])
 def test_model_error_does_not_split_a_peak(has_model_error):
     _, frfs = two_modes(30.0, 0.012, 0.01, 250, noise=1e-5, seed=3)
@@ -236,6 +253,26 @@ def test_leakage_warns_of_increased_damping(ratio, warned):
     assert any("widens the peaks" in warning for warning in modes.warnings) == warned
     assert (modes.damping[0] / zeta - 1.0 > 0.02) == warned
     assert modes.damping[0] / zeta - 1.0 == pytest.approx(LEAKAGE_FACTOR * ratio**2, rel=0.25)
+
+
+@pytest.mark.parametrize(
+    ("seed", "natural", "zeta"), [(102, 27.40, 0.01420), (113, 26.06, 0.00811), (115, 35.54, 0.01445)]
+)
+def test_interval_contains_widening_and_random_error(seed, natural, zeta):
+    # Averages of blocks with Hann windows, from a random test of 5 minutes.
+    rate, block = 256, 256 * 8
+    force = np.random.default_rng(seed).standard_normal(rate * 360)
+    s, omega = 2j * np.pi * np.fft.rfftfreq(force.size, 1 / rate), 2 * np.pi * natural
+    motion = np.fft.irfft(np.fft.rfft(force) * s**2 / (s**2 + 2 * zeta * omega * s + omega**2))
+    settled = slice(rate * 40, None)
+    frequency, cross = scipy.signal.csd(force[settled], motion[settled], rate, "hann", block)
+    _, power = scipy.signal.welch(force[settled], rate, "hann", block)
+    band = (frequency > 5.0) & (frequency < 100.0)
+    curve = Response.curve(
+        frequency[band], (cross / power)[band], "tip", motion="acceleration", resolution=1.5 * rate / block
+    )
+    modes = analysis.identify([curve])
+    assert modes.damping == pytest.approx([zeta], abs=2.0 * float(modes.damping_std[0]))
 
 
 @pytest.mark.parametrize(("hum", "named"), [(150.0, True), (130.0, False)])

@@ -31,9 +31,11 @@ structure: {{masses: [1 kg, 2 kg], springs: [10 kN/m, 20 kN/m]}}
 shaker: {{kind: force, body: 1}}
 test: {test}
 channels:
-  - {{name: body1, at: body 1, accelerometer: {{sensitivity: 10 mV/g}}}}
-  - {{name: body2, at: body 2, accelerometer: {{sensitivity: 10 mV/g}}}}
-  - {{name: force, at: {"hammer" if "impulse" in test else "shaker"}, hammer: {{sensitivity: 2 mV/N}}}}
+  - {{name: body1, at: body 1, accelerometer: {{sensitivity: 10 mV/g, sensitivity_tolerance: 0}}}}
+  - {{name: body2, at: body 2, accelerometer: {{sensitivity: 10 mV/g, sensitivity_tolerance: 0}}}}
+  - name: force
+    at: {"hammer" if "impulse" in test else "shaker"}
+    hammer: {{sensitivity: 2 mV/N, sensitivity_tolerance: 0}}
 {converter}
 """)
 

@@ -94,8 +94,8 @@ def _setting(info: ChannelInfo, name: str, kind: Kind, default: float = 0.0) -> 
 def tolerance_or_assumption(rec: Recording, name: str) -> float:
     """Return the `tolerance` of a channel, or an assumed value for a sensor of another instrument that states none."""
     info = rec.channels[name]
-    is_unstated = bool(rec.source) and info.quantity != "voltage"
-    return tolerance(info) or (ASSUMED_TOLERANCE if is_unstated else 0.0)
+    is_stated = any(key.endswith(".sensitivity_tolerance") for key in info.sensor) or info.quantity == "voltage"
+    return tolerance(info) + (0.0 if is_stated or not rec.source else ASSUMED_TOLERANCE)
 
 
 def sensitivity_limit(rec: Recording, contributions: ChannelContributions) -> dict[str, Array]:

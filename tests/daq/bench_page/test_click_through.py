@@ -247,9 +247,9 @@ def test_texts_and_scales_suit_the_values(bench, browser):
     clipped = "cause({unit: 'm/s^2', limit: 490.3325}, READING)"
     assert value(clipped.replace("READING", "490.3")) == "clipped at 50 g"
     assert value(clipped.replace("READING", "588.4")) == "60 g, limit 50 g"
-    # An undetermined value has no phase.
+    # The phase of a cursor is the angle of the axis, and an undetermined value has none.
     row = "{magnitude: [1e-4, 2e-4], phase: [-251, -80], relation: [0, 0], determined: [1, 0], angular: [1, 0]}"
-    assert value(f"[0, 1].map((k) => response.cell({row}, k))") == ["100\n109°", "~200\n–"]
+    assert value(f"[0, 1].map((k) => response.cell({row}, k))") == ["100\n-251°", "~200\n–"]
     # A test without an accepted impact has its verdict instead of curves.
     rejected = "{hits: [[1, 9, ['clipped'], false, true, [0, 1, 2]]], running: false, frf_reason: ''}"
     hint = f"(response.head = null, response.note({rejected}), $('hint').textContent)"

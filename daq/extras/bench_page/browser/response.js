@@ -138,7 +138,7 @@ const response = {
   // The value and the phase of a curve at a line; uncertain values have the sign ~, and no phase if none is drawn.
   cell({ magnitude, phase, relation, determined: certain, angular }, k) {
     const sign = RELATIONS[relation[k]] || (certain[k] || !isFinite(magnitude[k]) ? "" : "~");
-    return `${sign}${digits(1e6 * magnitude[k], 3)}\n${angular[k] ? `${digits(phase[k] < -180 ? phase[k] + 360 : phase[k], 3)}°` : "–"}`;
+    return `${sign}${digits(1e6 * magnitude[k], 3)}\n${angular[k] ? `${digits(phase[k], 3)}°` : "–"}`;
   },
 
   // The values at the cursors, and the peak list.

@@ -275,6 +275,26 @@ def test_texts_and_scales_suit_the_values(bench, browser):
 
 
 @pytest.mark.thorough
+def test_sharp_peak_ends_at_its_value(bench, browser):
+    browser.get(bench[0])
+    wait_for(browser, lambda: element(browser, "state").text == "ready")
+    script = """(() => {
+        const canvas = document.createElement('canvas'), x = [0, 0.44, 0.5, 0.56, 1];
+        document.body.append(canvas);
+        Object.assign(canvas.style, {position: 'fixed', width: '400px', height: '300px'});
+        const chart = new Chart(canvas, {name: 'x', log: false});
+        chart.show([0, 1], [{name: 'y', range: [0, 2], curves: [{x, y: [0, 0, 1, 0, 0], color: '#ff0000', width: 4}]}]);
+        const {data, width} = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height);
+        const first = data.findIndex((red, k) => k % 4 === 0 && red > 200 && data[k + 1] < 60);
+        const ratio = canvas.width / canvas.clientWidth, highest = Math.floor(first / 4 / width) / ratio;
+        return [highest, TOP + (canvas.clientHeight - TOP - BOTTOM) / 2];
+    })()"""
+    highest, expected = value_of(browser, script)
+    # The line is 4 px wide.
+    assert highest == pytest.approx(expected, abs=3.0)
+
+
+@pytest.mark.thorough
 def test_overloads_of_all_channels_fit_their_panel(bench, browser):
     browser.get(bench[0])
     wait_for(browser, lambda: element(browser, "state").text == "ready")

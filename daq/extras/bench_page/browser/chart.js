@@ -41,6 +41,7 @@ class Chart {
     context.setTransform(ratio, 0, 0, ratio, 0, 0);
     context.clearRect(0, 0, this.width, this.height);
     context.font = "11px system-ui, sans-serif";
+    context.lineJoin = "round"; // A mitred join rises above its point.
     const free = this.height - TOP - BOTTOM - GAP * (this.panels.length - 1);
     const shares = this.panels.reduce((sum, panel) => sum + (panel.share ?? 1), 0);
     let top = TOP;

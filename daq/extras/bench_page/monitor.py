@@ -65,9 +65,10 @@ class Monitor:
     """Processes the blocks of a bench for the page.
 
     `frf` estimates the frequency response, and `detector` detects the impacts, of the current or the last test.
-    `is_estimating` is true while a test without impacts runs. `overloads` contains time (s since power-on) and reading
-    of the first overload of a row of the readings since the operator cleared it. `lost_samples` is the number of
-    samples missing between blocks. `skipped_blocks` is the number of blocks that are not shown.
+    `is_estimating` is true while a test without impacts runs. `overloads` contains the times (s since power-on) of
+    the first and the last overload of a row of the readings since the operator cleared it, and the largest reading.
+    `lost_samples` is the number of samples missing between blocks. `skipped_blocks` is the number of blocks that are
+    not shown.
     """
 
     def __init__(self, chassis: Chassis) -> None:
@@ -83,7 +84,7 @@ class Monitor:
         self.is_estimating = False
         self.skipped_blocks = self.lost_samples = 0
         self._next_sample: int | None = None
-        self.overloads: dict[int, tuple[float, float]] = {}
+        self.overloads: dict[int, tuple[float, float, float]] = {}
         # End of the last block with an overload of a row, sample.
         self._last_overloads: dict[int, int] = {}
         self._excited_band: Callable[[], tuple[float, float] | None] = lambda: None
@@ -196,7 +197,9 @@ class Monitor:
             self.drive_history.add(self.drive_history.stop, drive)
             for row in np.flatnonzero(block.overload.any(axis=1)).tolist():
                 peak = float(np.abs(readings[row, block.overload[row]]).max())
-                self.overloads.setdefault(row, (block.first / self.rate, peak))
+                time = block.first / self.rate
+                first, _, largest = self.overloads.get(row, (time, time, peak))
+                self.overloads[row] = first, time, max(largest, peak)
                 self._last_overloads[row] = self.history.stop
             motion = block.motion
             indices = range(-motion.first % self._motion_step, motion.displacement.shape[1], self._motion_step)

@@ -300,16 +300,25 @@ def test_overloads_of_all_channels_fit_their_panel(bench, browser):
     wait_for(browser, lambda: element(browser, "state").text == "ready")
     texts = browser.execute_script("""
         socket.onclose = null;
-        const overloads = Object.fromEntries(channels.map(({limit}, k) => [k, [k ? 83.7 : 54.72, limit]]));
+        const overloads = Object.fromEntries(channels.map(({limit}, k) => [k, [54.72, k ? 183.7 : 54.72, limit]]));
         levels.update({state: {levels: channels.map(() => 1), overloads, clipping: []}});
         const panel = $('level-panel');
         return [$('causes').textContent, panel.scrollHeight - panel.clientHeight, $('alarm').hidden];
     """)
-    # Each channel has the time of its own first overload.
+    # Each channel has the times of its own first and last overload.
     base, arm, _ = texts[0].split(";")
-    assert base == "Overload: base: clipped at 50 g (54.7\u00a0s)" and arm == " arm: clipped at 50 g (83.7\u00a0s)"
+    assert base == "Overload: base: clipped at 50 g (54.72\u00a0s)"
+    assert arm == " arm: clipped at 50 g (54.72 to 183.7\u00a0s)"
     assert texts[1] <= 0 and not texts[2]
     assert browser.execute_script(OUTSIDE) == []
+    # A phone has one line.
+    resize(browser, 390, 844)
+    brief, height = browser.execute_script("""
+        const overloads = {0: [54.72, 183.7, 1], 1: [1, 2, 1]};
+        levels.update({state: {levels: channels.map(() => 1), overloads, clipping: []}});
+        return [$('causes').textContent, $('causes').clientHeight];
+    """)
+    assert brief == "Overload (latest: 183.7\u00a0s): base, arm" and height < 25
 
 
 @pytest.mark.thorough

@@ -1,6 +1,8 @@
 // A bar for each channel: its peak relative to full scale, the held peak, and a latched overload with its cause.
 "use strict";
 
+// A phone has space for one line, without causes; see bench.css.
+const IS_NARROW = matchMedia("(max-width: 900px)");
 const HOLD_MS = 3000;
 const FLOOR_DB = -120; // the noise of a sensor is visible
 
@@ -36,13 +38,16 @@ const levels = {
       row.over = Boolean(overload);
       row.name.classList.toggle("over", row.over);
       if (!overload) return;
-      const [time, reading] = overload, text = `${cause(channel, reading)} (${digits(time, 3)}\u00a0s)`;
+      const [first, last, reading] = overload, times = new Set([first, last].map((time) => digits(time, 4)));
+      const text = `${cause(channel, reading)} (${[...times].join(" to ")}\u00a0s)`;
       causes.set(text, [...(causes.get(text) ?? []), channel.name]);
     });
-    // Channels with the same cause and time are listed together.
+    // Channels with the same cause and times are listed together.
     const texts = [...causes].map(([text, names]) => `${names.join(", ")}: ${text}`);
     $("alarm").hidden = !texts.length;
-    setText("causes", `Overload: ${texts.join("; ")}. Lower the level or extend the range.`);
+    const latest = Math.max(...Object.values(state.overloads).map(([, last]) => last));
+    const brief = `Overload (latest: ${digits(latest, 4)}\u00a0s): ${[...causes.values()].flat().join(", ")}`;
+    setText("causes", IS_NARROW.matches ? brief : `Overload: ${texts.join("; ")}. Lower the level or extend the range.`);
   },
 };
 

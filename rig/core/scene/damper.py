@@ -168,7 +168,7 @@ class Damper(Settings):
     @property
     def impacts_instantaneously(self) -> bool:
         """Return whether an impact changes velocities in zero time, so the acceleration is infinite."""
-        return self.impacts and self.contact is None and self.grains is None
+        return self.moves and self.has_walls and self.contact is None and self.grains is None
 
     @property
     def action(self) -> tuple[str, str]:
@@ -189,19 +189,20 @@ class Damper(Settings):
         return self.replace(clearance=math.inf, clearance_below=None, restitution=0.0, contact=None)
 
     def check_consistency(self) -> Iterable[Problem]:
-        """Check that contact settings have walls, and that the restitution is given once."""
+        """Check that no key contradicts the kind of damper, and that the restitution is given once."""
+        slides = self.friction is not None
+        other = "" if slides else ", or add spring"
         if self.spring is None and self.damping:
-            yield Problem(("damping",), "damping requires a mass on a spring. Add the spring, or remove damping.")
+            yield Problem(("damping",), f"damping requires a mass on a spring. Remove damping{other}.")
         if self.spring is None and self.clearance_below is not None:
-            yield Problem(
-                ("clearance_below",), "a bed rests on its floor. Remove clearance_below, or add the spring of a mass."
-            )
+            reason = "a sliding mass starts in the middle between its walls" if slides else "a bed rests on its floor"
+            yield Problem(("clearance_below",), f"{reason}. Remove clearance_below{other}.")
         for key in ("restitution", "contact") if not self.has_walls else ():
             if getattr(self, key):
                 yield Problem((key,), f"the mass has no walls. Add a clearance, or remove {key}.")
         if self.spring is not None and self.grains is not None:
             yield Problem(("grains",), "a bed of grains cannot be on a spring. Remove grains, or remove the spring.")
-        for key in ("spring", "contact", "grains") if self.friction is not None else ():
+        for key in ("spring", "contact", "grains") if slides else ():
             if getattr(self, key) is not None:
                 message = f"{key} and friction are given together, but a damper with friction slides horizontally and "
                 yield Problem((key,), f"{message}has no {key}. Remove {key}, or remove friction.")
@@ -214,6 +215,6 @@ class Damper(Settings):
         if self.restitution and self.contact is not None and not has_duration:
             yield Problem(
                 ("restitution",),
-                "stiffness and damping of the contact determine the restitution. Remove restitution, or give contact: "
-                "duration.",
+                "stiffness and damping of the contact determine the restitution. Remove restitution, or give the "
+                "contact by its duration.",
             )

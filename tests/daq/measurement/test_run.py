@@ -13,6 +13,7 @@ import pytest
 import daq
 import rig
 from daq.commands.cli import main
+from daq.core.measurement.impact_remedy import instantaneous_impact_remedy
 from daq.core.measurement.limits import FlaggedIntervals
 from daq.core.measurement.run_report import summary
 from daq.core.recording.committed_file import CommittedFile
@@ -430,6 +431,12 @@ channels:
     daq.record(scene, tmp_path / "r.mcap")
     assert ("zero duration" in summary(tmp_path / "r.mcap")) is is_reported
     assert ("zero duration" in str(daq.foresee(scene))) is is_reported
+
+
+@pytest.mark.parametrize("clearance", ["1 mm", ".inf"])
+def test_sliding_masses_have_no_contact_remedy(clearance: str) -> None:
+    damper = {"body": 1, "mass": "50 g", "friction": 0.3, "clearance": clearance}
+    assert not instantaneous_impact_remedy(hit_scene(dampers=[damper]))
 
 
 @pytest.mark.parametrize(("drive", "limit"), [("2.5 V", "amplifier.limit"), ("2.5 V", "output.range"), ("1 V", "")])

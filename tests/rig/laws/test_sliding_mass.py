@@ -141,6 +141,8 @@ def test_explanation_states_the_slip_force() -> None:
         ({"grains": {"diameter": "2 mm"}}, "Remove grains"),
         ({"restitution": 0.3}, "the mass has no walls"),
         ({"friction": -0.1}, "friction"),
+        ({"clearance_below": 1e-3}, "walls. Remove clearance_below."),
+        ({"damping": 1.0}, "mass on a spring. Remove damping."),
     ],
 )
 def test_mistakes_are_reported(changes: dict[str, Any], message: str) -> None:

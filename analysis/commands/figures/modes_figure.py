@@ -92,13 +92,13 @@ def modes_figure(frfs: Sequence[Response], modes: Modes, title: str, remarks: Se
         for i in range(count):
             row, column = divmod(i, columns)
             axes = figure.add_subplot(rows[2 + row, column])
-            shape, bound = bodies.shapes[:, i].real, expand(bodies.errors[:, i])
+            shape, expanded = bodies.shapes[:, i].real, expand(bodies.errors[:, i])
             is_near = (abs(pole.frequency / modes.frequency[i] - 1.0) <= _MODE_WIDTH for pole in modes.chart)
             stable = {pole.order for pole, near in zip(modes.chart, is_near, strict=True) if pole.stable and near}
             is_poor = len(stable) < _MIN_STABLE * len(orders)
-            opacity = 1.0 if is_known_shape(bound) and not is_poor else _FADED
+            opacity = 1.0 if is_known_shape(expanded) and not is_poor else _FADED
             axes.plot(np.append(0, shape), np.append(0, heights), "o-", color="#333333", alpha=opacity)
-            xerr = np.minimum(np.nan_to_num(bound, posinf=_WIDEST_BAR), _WIDEST_BAR)
+            xerr = np.minimum(np.nan_to_num(expanded, posinf=_WIDEST_BAR), _WIDEST_BAR)
             axes.errorbar(shape, heights, xerr=xerr, fmt="none", ecolor="#333333", capsize=2, lw=0.9, alpha=opacity)
             axes.set(xlim=(-1.25, 1.25), xlabel="shape" if row == shape_rows - 1 else "")
             axes.axvline(0.0, color="#777777", lw=0.7)

@@ -104,7 +104,7 @@ def describe_motions(bodies: Sequence[list[DamperMotion]], omitted: Sequence[flo
 
 
 def detection_limits(bodies: Sequence[list[DamperMotion]]) -> str:
-    """List the largest detection limit of each body, at any frequency."""
+    """List the detection limit of each body, the largest over all frequencies."""
     limits = [(max(motion.threshold for motion in body), body[0].channel) for body in bodies]
     return ", ".join(f"{float(f'{1e3 * limit:.2g}'):.10g} mm/s ({channel})" for limit, channel in limits)
 
@@ -133,12 +133,12 @@ def describe_energy(energy: EnergyBalance, true_loss: np.ndarray | None = None) 
     """
     rows = []
     for i in np.sort(np.argsort(energy.supplied, kind="stable")[::-1][:_PRINTED_FREQUENCIES]):
-        percent, bound = 100.0 / energy.supplied[i], energy.expanded[i]
+        percent, expanded = 100.0 / energy.supplied[i], energy.expanded[i]
         rows.append((
             f"{energy.frequency[i]:.4g}",
             format_number(1e3 * energy.supplied[i]),
-            format_limited(percent * energy.dampers[i], percent * bound, 100.0)
-            + " (uncertainty unknown)" * bool(np.isnan(bound)),
+            format_limited(percent * energy.dampers[i], percent * expanded, 100.0)
+            + " (uncertainty unknown)" * bool(np.isnan(expanded)),
             f"{0.1 * percent * energy.structure[i]:+.2g}",
             "" if true_loss is None else f"{percent * true_loss[i]:.3g}",
         ))  # fmt: skip

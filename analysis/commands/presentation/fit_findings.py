@@ -54,8 +54,8 @@ def present_fit(
 def describe(result: Fit) -> list[str]:
     """Return the printed lines: fitted values, sensors, modes and residuals, with 95 % intervals."""
     sensors = [("sensor", "sensitivity deviation / %")] + [
-        (name, format_interval(100 * deviation, 100 * bound))
-        for name, (deviation, bound) in result.sensitivities.items()
+        (name, format_interval(100 * deviation, 100 * expanded))
+        for name, (deviation, expanded) in result.sensitivities.items()
     ]
     modes = [("mode of the structure", "frequency / Hz", "damping ratio / %")] + [
         (

@@ -51,10 +51,10 @@ def draw_responses(result: ForceSurface, forces: Sequence[float], axes: Axes) ->
     # Gray points show where the force was measured; between them it is interpolated.
     axes.plot(result.frequency, 1e3 * result.amplitude, "o", ms=2.5, color="#b0b0b0", zorder=1)
     for force, (color, _, marker) in level_styles(forces).items():
-        frequency, amplitude, bound, stable = result.at_force(force).values()
+        frequency, amplitude, expanded, stable = result.at_force(force).values()
         bars: dict[str, Any] = {"fmt": marker, "ms": 4, "color": color, "capsize": 2}
         for is_stable, face, label in ((True, color, f"{format_number(force)} N"), (False, "white", None)):
-            x, y, error = (each[stable == is_stable] for each in (frequency, 1e3 * amplitude, 1e3 * bound))
+            x, y, error = (each[stable == is_stable] for each in (frequency, 1e3 * amplitude, 1e3 * expanded))
             axes.errorbar(x, y, error, mfc=face, label=label, **bars)
         for fold, height in result.folds(force):
             axes.plot(fold, 1e3 * height, "x", color=color, ms=8)
@@ -65,15 +65,15 @@ def response_lines(result: ForceSurface, forces: Sequence[float]) -> list[str]:
     """Return a table of the highest points and the folds of the responses at constant force."""
     rows = []
     for force in forces:
-        frequency, amplitude, bound, _ = result.at_force(force).values()
+        frequency, amplitude, expanded, _ = result.at_force(force).values()
         if not amplitude.size:
             rows.append((f"{format_number(force)} N", "force not measured", "", "", ""))
             continue
         k, folds = int(amplitude.argmax()), result.folds(force)
         rows.append(
             (
-                f"{format_number(force)} N", format_interval(1e3 * amplitude[k], 1e3 * bound[k]), f"{frequency[k]:.5g}",
-                ", ".join(f"{fold:.5g}" for fold, _ in folds) or "none",
+                f"{format_number(force)} N", format_interval(1e3 * amplitude[k], 1e3 * expanded[k]),
+                f"{frequency[k]:.5g}", ", ".join(f"{fold:.5g}" for fold, _ in folds) or "none",
                 ", ".join(f"{1e3 * height:.3g}" for _, height in folds),
             )
         )  # fmt: skip

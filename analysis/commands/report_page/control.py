@@ -75,12 +75,12 @@ def _profile_chart(check: ProfileCheck) -> Chart:
 def _tracking_chart(result: AmplitudeCurve | Backbone, frequency_name: str) -> Chart:
     """Return a chart of the amplitude against frequency of followed curves or resonances."""
     curves, parts = list[Curve](), result.parts()
-    amplitude, bound = 1e3 * result.amplitude, 1e3 * result.amplitude_own
+    amplitude, expanded = 1e3 * result.amplitude, 1e3 * result.amplitude_own
     for part in parts:
         if not any(part.style == curve.style for curve in curves):
             path = np.any([other.selected for other in parts if other.style == part.style], axis=0)
             curves.append(Curve(part.name, result.frequency[path], amplitude[path], style=part.style, draw="path"))
-        curves.append(_bars(part, result.frequency, amplitude, bound))
+        curves.append(_bars(part, result.frequency, amplitude, expanded))
     difference = float(np.nanmax(abs(result.force / result.level - 1.0))) if result.unit == "N" else 0.0
     notes = [
         common_error_text(result.amplitude, result.amplitude_own, result.amplitude_expanded),
@@ -90,7 +90,7 @@ def _tracking_chart(result: AmplitudeCurve | Backbone, frequency_name: str) -> C
     ]
     frequency = np.concatenate([np.asarray(curve.x) for curve in curves])
     # A label is joined to the end of an interval.
-    ends = dict(zip(result.frequency.tolist(), (amplitude + bound).tolist(), strict=True))
+    ends = dict(zip(result.frequency.tolist(), (amplitude + expanded).tolist(), strict=True))
     marks = [Mark(at, ends.get(at, 1e3 * height), text) for at, height, text in sorted(result.marks())]
     return Chart(
         "Points in the order of the test, with 95 % intervals",
@@ -106,12 +106,12 @@ def _modal_chart(result: Backbone) -> Chart:
     """Return a chart of natural frequency and damping ratio against amplitude."""
     [part], amplitude = result.parts(), 1e3 * result.amplitude
     panels = []
-    for name, unit, values, bound in (
+    for name, unit, values, expanded in (
         ("natural frequency", "Hz", result.natural_frequency, result.natural_frequency_expanded),
         ("damping ratio", "%", 100.0 * result.damping, 100.0 * result.damping_expanded),
     ):
         path = Curve(part.name, amplitude[part.selected], values[part.selected], style=part.style, draw="path")
-        curves = [path, _bars(part, amplitude, values, bound)]
+        curves = [path, _bars(part, amplitude, values, expanded)]
         panels.append(Panel(name, unit, curves, 170, limits=limits_with_margin(curves)))
     return Chart(
         "Natural frequency and damping ratio at each level against amplitude, with 95 % intervals",
@@ -123,10 +123,10 @@ def _modal_chart(result: Backbone) -> Chart:
     )
 
 
-def _bars(part: CurvePart, x: Array, y: Array, bound: Array) -> Curve:
+def _bars(part: CurvePart, x: Array, y: Array, expanded: Array) -> Curve:
     """Return the points of a part of the curve with their intervals; unstable points are hollow."""
-    x, y, bound = x[part.selected], y[part.selected], bound[part.selected]
-    return Curve(part.name, x, y, y - bound, y + bound, part.style, "dots" if part.is_stable else "circles")
+    x, y, expanded = x[part.selected], y[part.selected], expanded[part.selected]
+    return Curve(part.name, x, y, y - expanded, y + expanded, part.style, "dots" if part.is_stable else "circles")
 
 
 def control_charts(measurement: Measurement) -> list[Chart]:

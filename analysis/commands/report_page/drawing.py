@@ -191,15 +191,15 @@ def _channels(scene: Scene, tops: Sequence[float]) -> Iterator[str]:
 
 def mode_drawing(shapes: BodyShapes, locations: Sequence[str], mode: int, title: str) -> str:
     """Draw a mode shape; outlines show the bodies at rest, and `locations` of the bodies determine their colors."""
-    count, bounds = len(shapes.names), expand(shapes.errors[:, mode])
-    opacity = 1.0 if is_known_shape(bounds) else 0.4
+    count, uncertainties = len(shapes.names), expand(shapes.errors[:, mode])
+    opacity = 1.0 if is_known_shape(uncertainties) else 0.4
     height = count * (_SHAPE_HEIGHT + _SHAPE_SPACING)
     parts = []
     for k, (name, style) in enumerate(zip(shapes.names, location_styles(locations), strict=True)):
         y = height - _SHAPE_SPACING // 2 - k * (_SHAPE_HEIGHT + _SHAPE_SPACING) - _SHAPE_HEIGHT
-        component, bound = float(shapes.shapes[k, mode].real), float(bounds[k])
-        bar = _MAX_AMPLITUDE * min(bound, 1.0)
-        interval = f" ± {bound:.2f}" if bound >= 0.005 else ""
+        component, expanded = float(shapes.shapes[k, mode].real), float(uncertainties[k])
+        bar = _MAX_AMPLITUDE * min(expanded, 1.0)
+        interval = f" ± {expanded:.2f}" if expanded >= 0.005 else ""
         box = f'x="24" y="{y}" width="{_SHAPE_WIDTH}" height="{_SHAPE_HEIGHT}" rx="3"'
         parts.append(
             f'<rect {box} stroke="currentColor" stroke-opacity="0.4" stroke-dasharray="3 3"/>'

@@ -125,10 +125,10 @@ def _mode_point(
         mode = min(inside, key=lambda each: abs(modes.frequency[each] - (sum(band) / 2.0 if top is None else top)))
         center = float(modes.frequency[mode]) if top is None else top
     frequency, damping = float(modes.frequency[mode]), 100.0 * float(modes.damping[mode])
-    bounds = (float(expand(error[mode])) for error in (modes.frequency_std, 100.0 * modes.damping_std))
+    uncertainties = (float(expand(error[mode])) for error in (modes.frequency_std, 100.0 * modes.damping_std))
     quantities = {
-        "natural frequency / Hz": (frequency, format_limited(frequency, next(bounds))),
-        "damping ratio / %": (damping, format_limited(damping, next(bounds), 100.0)),
+        "natural frequency / Hz": (frequency, format_limited(frequency, next(uncertainties))),
+        "damping ratio / %": (damping, format_limited(damping, next(uncertainties), 100.0)),
     }
     note = "damping extrapolated" * bool(extrapolates_damping(modes, sweep.frfs)[mode])
     if curve is None or not np.isfinite(curve.value).any():
@@ -143,11 +143,11 @@ def _mode_point(
     motion = shown.to("displacement")
     if motion.amplitude is not None and motion.reference == "force":
         force = 1e3 * float(motion.amplitude[line])
-        amplitude, bound = (force * float(values[line]) for values in (abs(motion.value), motion.expanded()))
+        amplitude, expanded = (force * float(values[line]) for values in (abs(motion.value), motion.expanded()))
         place = measurement.rec.scene.structure.label(shown.outputs[0].at) or shown.response
         quantities[f"amplitude of {place} / mm"] = (
             amplitude,
-            format_limited(amplitude, max(bound, _LEAST_RATIO * amplitude)),
+            format_limited(amplitude, max(expanded, _LEAST_RATIO * amplitude)),
         )
     unit, factor = curve.shown_in
     # Without an estimate of the peak, the highest point is its lower bound.
@@ -173,6 +173,8 @@ def _with_energy(point: LevelPoint, results: Iterable[Dampers]) -> LevelPoint:
     if energy is None or not np.isfinite(point.frequency):
         return point
     line = int(np.argmin(abs(energy.frequency - point.frequency)))
-    percent, bound = (100.0 * float(part[line] / energy.supplied[line]) for part in (energy.dampers, energy.expanded))
-    text = format_limited(percent, max(bound, 100.0 * _LEAST_RATIO), 100.0)
+    percent, expanded = (
+        100.0 * float(part[line] / energy.supplied[line]) for part in (energy.dampers, energy.expanded)
+    )
+    text = format_limited(percent, max(expanded, 100.0 * _LEAST_RATIO), 100.0)
     return point._replace(quantities={**point.quantities, "energy dissipated by dampers / %": (percent, text)})

@@ -216,17 +216,17 @@ def peak(frf: Response, band_low: float, band_high: float) -> Peak | None:
     difference = abs(curve_of_five.max() - height), abs(grid[np.argmax(curve_of_five)] - frequency)
     error_scales = height, float(np.linalg.norm(sensitivity[1] * magnitude[three_points]))
     interpolation = 2.0 * (np.array(difference) + leave_one_out_error * np.array(error_scales))
-    bound = hypot(measured[0], interpolation[0])
-    possible = f[height - magnitude <= np.hypot(point_bound, bound)]
+    expanded = hypot(measured[0], interpolation[0])
+    possible = f[height - magnitude <= np.hypot(point_bound, expanded)]
     frequency_expanded = hypot(measured[1], interpolation[1]) + 0.5 * (grid[1] - grid[0])
-    on_grid = grid[(curve >= height - bound) | (curve_of_five >= curve_of_five.max() - bound)]
+    on_grid = grid[(curve >= height - expanded) | (curve_of_five >= curve_of_five.max() - expanded)]
     to_first_order = np.clip(
         [frequency - frequency_expanded, frequency + frequency_expanded], on_grid.min(), on_grid.max()
     )
     limits = np.append(possible, to_first_order)
     return Peak(
         height,
-        bound,
+        expanded,
         frequency,
         float(limits.min()) * (1.0 - clock),
         float(limits.max()) * (1.0 + clock),
@@ -446,14 +446,14 @@ class PeakChange:
     def height_texts(self, factor: float) -> tuple[str, ...]:
         """Write the heights times a factor, without and with dampers, with the digits of the larger uncertainty."""
         peaks = self.baseline, self.damped
-        bounds = [peak.expanded for peak in peaks if peak.is_determined]
-        bound = factor * max([*bounds, _HEIGHT_RESOLUTION * max(peak.value for peak in peaks)])
+        uncertainties = [peak.expanded for peak in peaks if peak.is_determined]
+        expanded = factor * max([*uncertainties, _HEIGHT_RESOLUTION * max(peak.value for peak in peaks)])
         return tuple(
             "not determined"
             if isfinite(peak.expanded) and peak.low <= 0.0
-            else f"≥ {round_to_bound(factor * peak.low, bound)}"
+            else f"≥ {round_to_bound(factor * peak.low, expanded)}"
             if not peak.is_determined
-            else f"{round_to_bound(factor * peak.value, bound)}{' (extrapolated)' * peak.is_extrapolated}"
+            else f"{round_to_bound(factor * peak.value, expanded)}{' (extrapolated)' * peak.is_extrapolated}"
             for peak in peaks
         )
 

@@ -10,7 +10,7 @@ from rig.core.numerics.runs import merge_spans, runs_of
 # A pulse begins and ends at this fraction of the largest force, above the noise of the sensor.
 _PULSE_RATIO = 0.05
 # A pulse is an impact if its peak is at least this fraction of the largest force; smaller pulses are noise or a touch.
-_HIT_RATIO = 0.1
+_IMPACT_RATIO = 0.1
 # The force of a hammer acts for at most this fraction of the time; a shaker acts all the time.
 _MAX_CONTACT_SHARE = 0.2
 # Time after an impact in which further pulses are ignored as bounces of the hammer [s].
@@ -20,7 +20,7 @@ _BOUNCE_S = 0.2
 _DOUBLE_RATIO = 0.1
 # Two crossings of the threshold within this time belong to the same pulse [s].
 _CHATTER_S = 1e-3
-# Maximum number of stored pulses, to limit the memory; a test with more impacts does not exist.
+# Maximum number of stored pulses, to limit the memory; no test has more impacts.
 _MAX_PULSES = 200_000
 
 
@@ -40,7 +40,7 @@ class ForcePulses:
         self._baseline: float | None = None
         self._peak = 0.0
         self._pulses: list[Pulse] = []
-        self._contact_samples = self._samples = 0
+        self._samples = 0
 
     def add(self, first: int, force: Array) -> None:
         """Add the next samples in N; the first has the number `first`."""
@@ -53,7 +53,6 @@ class ForcePulses:
             self._pulses = [pulse for pulse in self._pulses if pulse.peak > _PULSE_RATIO * largest]
         runs = runs_of(magnitude > _PULSE_RATIO * self._peak)
         self._samples += magnitude.size
-        self._contact_samples += sum(stop - start for start, stop in runs)
         if len(self._pulses) < _MAX_PULSES:
             self._pulses += [Pulse(first + a, first + b, float(magnitude[a:b].max())) for a, b in runs]
 
@@ -70,7 +69,7 @@ class ForcePulses:
                 if peak >= _DOUBLE_RATIO * impacts[-1].peak:
                     impacts[-1] = impacts[-1]._replace(is_double=True)
                 continue
-            if peak < _HIT_RATIO * self._peak:
+            if peak < _IMPACT_RATIO * self._peak:
                 continue
             # The edges of a pulse extend beyond the samples above the threshold.
             edge = 2 + (stop - first) // 5

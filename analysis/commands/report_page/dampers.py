@@ -35,9 +35,9 @@ def damper_charts(measurement: Measurement) -> list[Chart]:
             impacts.setdefault(place, []).append(Curve(label, frequency[order], count[order], style=at, draw=draw))
         energy = result.energy
         if energy is not None:
-            percent, bound = (_percent(part, energy.supplied)[order] for part in (energy.dampers, energy.expanded))
+            percent, expanded = (_percent(part, energy.supplied)[order] for part in (energy.dampers, energy.expanded))
             label, at = ("dampers", CurveStyle(DAMPER)) if is_single else (name, style)
-            value, low, high = np.clip([percent, percent - bound, percent + bound], 0.0, 100.0)
+            value, low, high = np.clip([percent, percent - expanded, percent + expanded], 0.0, 100.0)
             shares.append(Curve(label, frequency[order], value, low, high, at, draw))
             shares += [replace(shares[-1], draw="through")] * (draw == "points")
     # Each body has a panel: equal numbers of impacts would hide each other.
@@ -68,8 +68,9 @@ def damper_charts(measurement: Measurement) -> list[Chart]:
             logarithmic=needs_logarithmic_axis(band),
             x_limits=side_limits(band) if any(curve.draw == "dots" for curve in panels[0].curves) else None,
             notes=[
-                "Impacts on floor and ceiling; gaps: irregular motion or missed impacts; 0: none above the detection "
-                "limit. Energy: share of the supplied energy that the dampers dissipate, with its 95 % interval."
+                "Impacts on floor and ceiling; 0: none above the detection limit. The curve is interrupted where the "
+                "motion is irregular or impacts may be missing. Energy: share of the supplied energy that the dampers "
+                "dissipate, with its 95 % interval."
             ],
         )
     ]

@@ -85,5 +85,5 @@ def _damping_chart(
         x_name="amplitude",
         x_unit="m/s²",
         logarithmic=True,
-        notes=["Thin line, band down to the axis: the interval includes zero. Frequencies: see the decay table."],
+        notes=["Thin line with a band to the axis: the interval includes zero. Frequencies: see the decay table."],
     )

@@ -79,7 +79,7 @@ def limitations(measurements: Sequence[Measurement]) -> list[str]:
 
 
 def _control_texts(measurement: Measurement) -> list[str]:
-    """Return a sentence on the controlled motion of each test: its profile, or its shocks."""
+    """Return a sentence on the controlled motion of a test: its profile, or its shocks."""
     if measurement.profile is not None:
         return [measurement.profile.agreement().replace("; ", "\n")]
     shocks = shocks_of(measurement.rec.markers)
@@ -144,7 +144,7 @@ def _change_text(changes: Sequence[SweepChange]) -> str:
     lines += [compared.get(mode) or f"{labels[mode]}: {not_compared}" for mode in sorted(labels)]
     if not any(isfinite(limit) for each in changes for limit in each.change.decibel[1:]):
         lines.append(
-            "Measure around the peaks with a smaller frequency spacing, in both directions, without overloads."
+            "Measure around the peaks with a smaller frequency spacing, upward and downward, without overloads."
         )
     return "\n".join(lines)
 
@@ -197,7 +197,7 @@ def _highest_peak(sweep: SweepResults) -> str:
 
 
 def _impact_texts(measurement: Measurement) -> list[str]:
-    """Report the detected impacts of all sweeps, the limit of detection, and the energy of a test at one level."""
+    """Report the detected impacts of all sweeps, the detection limit, and the energy of a test at one level."""
     results = [result for result in measurement.dampers if result.bodies]
     if not results:
         return []

@@ -139,7 +139,7 @@ def impact_energy_per_period(rec: Recording, sweep: Sweep) -> Array:
     minus the loss in the dashpot of a mass on a spring.
 
     The result is NaN for beds of grains, whose impacts are not recorded. The result is also NaN if an instantaneous
-    impact acts on other dampers, in the same body or through a full mass matrix.
+    impact acts on other dampers, in the same body or through off-diagonal masses.
     """
     from rig.core.system.assembly import assemble
 

@@ -158,7 +158,7 @@ class ImpactModel:
         return np.asarray(np.linalg.solve(self.r_factors[row], outputs)[::-1], dtype=np.float64)
 
     def responses_in_window(self, rows: NDArray[np.intp]) -> Array:
-        """Return responses to unit jump, step and slope change without smooth motion, shape (rows, 3, window)."""
+        """Return responses to unit jump, step and slope change, minus their smooth part; shape (rows, 3, window)."""
         begin = self.window_start - self.unit_start
         return self.readings(self.unit_differences[rows, :, begin : begin + self.window_length])
 

@@ -110,7 +110,7 @@ class SweepOrbits:
         return response
 
     def alternatives(self, test_scene: Scene, level: Array, frequency: Array, k: int) -> Iterator[OrbitResponse]:
-        """Yield the stable orbits at point k that are reached from neighboring orbits, resting dampers, and rest."""
+        """Yield the stable orbits at point k, reached from adjacent points, resting dampers, and standstill."""
         solver = _OrbitSolver(test_scene)
         for neighbor in (k - 1, k + 1):
             if 0 <= neighbor < frequency.size and (orbit := self.current[neighbor]) is not None:

@@ -123,7 +123,7 @@ def mode_warnings(
             f"{format_percent(zeta_uncertainty[k] / zeta[k])} at {modes.frequency_label(k)}"
             for k in np.flatnonzero(uncertain).tolist()
         )
-        yield f"Damping is poorly determined: {parts} (standard uncertainty)."
+        yield f"Damping is poorly determined: standard uncertainty {parts}."
 
 
 def extrapolates_damping(modes: Modes, curves: Sequence[Response]) -> NDArray[np.bool_]:

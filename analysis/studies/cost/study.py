@@ -160,10 +160,10 @@ def steady_frequencies(scene: Scene) -> tuple[float, ...]:
         is_steady &= np.abs(up - down).max(axis=0) < SAME_MOTION_TOLERANCE * np.abs(up).max(axis=0)
     if not is_steady.any():
         raise RunError(
-            f"{scene.name}: none of {len(candidates)} frequencies from {candidates[0]:.4g} to {candidates[-1]:.4g} Hz "
-            "has a steady motion that repeats every period and is the same upwards and downwards, so no exact "
-            "compliance exists for comparison. Choose other frequencies (`frequency`), or change the level (test.force "
-            "or test.drive)."
+            f"{scene.name}: at none of {len(candidates)} frequencies from {candidates[0]:.4g} to "
+            f"{candidates[-1]:.4g} Hz does the motion repeat every period and agree in an upward and a downward sweep. "
+            "Without such a motion, there is no exact compliance. Choose other frequencies (`frequency`), or "
+            "change the level (test.force or test.drive)."
         )
     steady = candidates[is_steady]
     peak_frequency = steady[int(np.argmax(_accelerations(motion, steady)))]

@@ -376,10 +376,9 @@ class _Curve:
                     f"{name} of {rate:.2g} 1/s at {last.frequency:.4g} Hz requires a dead time below "
                     f"{largest / rate:.2g} s; it is {tone.dead_time:.2g} s. Use a converter filter with a shorter delay"
                 )
-        cause = "did not reach steady state" if tone.scatter >= _MAX_INVASIVE else "does not require a continuous force"
         return (
-            f"the curve ends with {1e3 * last.motion:.3g} mm of {self._test.at} at {last.frequency:.4g} Hz: the motion "
-            f"at the next point {cause} (relative standard deviation of force {tone.scatter:.1%}). The period "
+            f"the curve ends with {1e3 * last.motion:.3g} mm of {self._test.at} at {last.frequency:.4g} Hz: the next "
+            f"point did not reach steady state (relative standard deviation of force {tone.scatter:.1%}). The period "
             "of the motion may have doubled, or the impacts in a period may have changed; increase "
             "test.settle.longest, or reduce test.step"
         )

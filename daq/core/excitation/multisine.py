@@ -126,7 +126,7 @@ class MultisineProcedure(Procedure["Multisine"]):
         yield station.drives(np.stack([crossfade(wave, np.zeros(period)) for wave in present_waves]))
 
     def snr_gain(self, test: Multisine, frequency: Array) -> Array:
-        """Return the signal-to-noise ratio of a line over the measured periods of a realization [sqrt(s)]."""
+        """Return the signal-to-noise ratio of a line [sqrt(s)], for unit level and unit noise density."""
         period, band = test.period_s, test.to - test.from_
         amplitude = np.sqrt(2.0 / max(1.0, band * period))
         return np.full(frequency.size, amplitude * np.sqrt(period * test.periods / 2.0))

@@ -73,10 +73,10 @@ class Study(Generic[Piece, Value]):
 
     @contextmanager
     def reserve(self, table: Path) -> Iterator[None]:
-        """Lock `unfinished_file` during the body, and remove this file unless it contains values of an interrupted run.
+        """Lock `unfinished_file` during the `with` block; remove it unless it has values of an interrupted run.
 
         Raises `RunError` if another command computes the same table, or `unfinished_file` belongs to a different study
-        and may not be replaced.
+        and the user has not allowed to replace it.
         """
         file, is_complete = unfinished_file(table), False
         create_folder(table.parent, RunError)
@@ -140,7 +140,7 @@ class StoredValues(Generic[Piece, Value]):
             content = path.read_bytes() if path.exists() else b""
             rows = _parse_rows(path, content, study.columns, study.name) if content else []
             with path.open("ab") as file:
-                # Another process may add rows at this moment.
+                # Only an incomplete line is removed, because another process may add rows.
                 if _complete_length(content) < len(content):
                     file.truncate(_complete_length(content))
         except OSError as error:

@@ -99,7 +99,7 @@ class Scene(Settings):
 
     @property
     def controlled_terms(self) -> dict[str, float]:
-        """Locations whose measured values a controller uses, as `KindOfTest.controlled_terms`; empty in open loop."""
+        """Controlled quantity per meter of displacement at each location used by the controller; empty in open loop."""
         if self.test is None or self.driven_shaker is None:
             return {}
         table, cell = self.at_driven("table"), self.at_driven("shaker")

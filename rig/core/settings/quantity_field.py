@@ -29,13 +29,11 @@ class Quantity:
         self.above, self.at_least, self.below = above, at_least, below
         self.infinite, self.listed = infinite, listed
         self.description = describe_kinds(kinds)
-        limits = [
-            f"above {above:g}" if above is not None else "",
-            f"at least {at_least:g}" if at_least is not None else "",
-            f"below {below:g}" if below is not None else "",
-            "" if infinite else "finite",
-        ]
-        self.bounded_description = f"{self.description}, {' and '.join(filter(None, limits))}".rstrip(", ")
+        sides = (("above", above), ("at least", at_least), ("below", below))
+        limits = [f"{side} {limit:g}" for side, limit in sides if limit is not None]
+        # Limits on both sides exclude infinity.
+        limits += ["finite"] * (not infinite and (below is None or len(limits) == 1))
+        self.bounded_description = f"{self.description}, {' and '.join(limits)}".rstrip(", ")
         units = alternatives([kind.si for kind in kinds if kind.si])
         self.help_text = (
             f"{self.bounded_description}; a bare number is in {units}" if units else self.bounded_description

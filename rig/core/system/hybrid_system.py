@@ -28,13 +28,13 @@ class Element:
     """A contact law at one place: a damper, or a joint.
 
     `declare`: the law as a function of the clearance [m]. `body`: coordinate of the body to which the gap is measured.
-    `gap`: coordinate that is the gap; -1 for a *detached* mass, whose position is not a coordinate: its force is
-    constant while it is not held. `mass`: mass of the damper, or the mass that the force of the joint accelerates along
-    the gap [kg]. `clearance`: clearance of the damper, or the gap or slip displacement of the joint [m]. `restitution`:
-    coefficient in the scene. `number`: number in the scene, from 1. `is_grains`: whether the damper is a bed of grains.
-    `is_joint`: whether it is a joint. `base`: coordinate that is subtracted from `gap`; -1 if `gap` alone is the gap.
-    `start`: regime at the start; empty: the start regime of the law. `slider`: coordinate that is the slider
-    displacement of the law and remains at rest; -1 without slider.
+    `gap`: coordinate that is the gap; -1 for a *detached* mass, whose position is not a coordinate, and on which a
+    constant force acts between contacts. `mass`: mass of the damper, or the mass that the force of the joint
+    accelerates along the gap [kg]. `clearance`: clearance of the damper, or the gap or slip displacement of the joint
+    [m]. `restitution`: coefficient in the scene. `number`: number in the scene, from 1. `is_grains`: whether the damper
+    is a bed of grains. `is_joint`: whether it is a joint. `base`: coordinate that is subtracted from `gap`; -1 if `gap`
+    alone is the gap. `start`: regime at the start; empty: the start regime of the law. `slider`: coordinate that is the
+    slider displacement of the law and remains at rest; -1 without slider.
     """
 
     declare: Callable[[float], Law]
@@ -95,13 +95,13 @@ class HybridSystem:
     `inputs`, `drive_units`, `drive_limit`: names, units and largest values of the inputs. `gravity`: m/s². `mass`: M,
     without the dampers of instantaneous contact that can move. `force_state`, `force_drive`, `force_constant`: F_x
     (coordinates, states), F_u (coordinates, inputs) and F_1 (coordinates,). `rate_state`, `rate_drive`: R_x (further
-    states, states) and R_u (further states, inputs). `state_energy`, `state_loss`, `state_power`: energy, loss and
-    power of the drive of further states r are r^2 state_energy / 2, r^2 state_loss and r state_power u; in SI, the last
-    has the shape (further states, inputs). `prescribed`, `reaction`: coordinates with prescribed motion, and rows
-    (prescribed, states) that give the forces of their actuators [N] from the state. `elements`: the dampers that
-    can move in their cavities, then the joints. A bed of grains is here one mass at rest; `rig.extras.grains` computes
-    its motion. Arrays with one value for each damper do not include the joints. `initial`: state at t = 0 without
-    drive, with resting dampers.
+    states, states) and R_u (further states, inputs). `state_energy`, `state_loss`: the energy of the further states is
+    r^2 state_energy / 2, and their loss is r^2 state_loss. `state_power` (further states, inputs): the drive supplies
+    the power r state_power u. `prescribed`, `reaction`: coordinates with prescribed motion, and rows (prescribed,
+    states) that give the forces of their actuators [N] from the state. `elements`: the dampers that can move in their
+    cavities, then the joints. A bed of grains is here one mass at rest; `rig.extras.grains` computes its motion. Arrays
+    with one value for each damper do not include the joints. `initial`: state at t = 0 without drive, with resting
+    dampers.
     """
 
     # names of the coordinates: "body 1" ... "body n", then "table" if the scene has one

@@ -42,7 +42,7 @@ def test_help_text_names_bounds_and_si_unit():
     quantity = Quantity(LENGTH, above=0.0, at_least=1e-3, below=2.5, infinite=False)
     assert (
         quantity.bounded_description
-        == f"{LENGTH.noun} such as {LENGTH.example}, above 0 and at least 0.001 and below 2.5 and finite"
+        == f"{LENGTH.noun} such as {LENGTH.example}, above 0 and at least 0.001 and below 2.5"
     )
     assert quantity.help_text == f"{quantity.bounded_description}; a bare number is in m"
     length_or_mass = Quantity(LENGTH, MASS, infinite=True)

@@ -28,7 +28,7 @@ class Free(KindOfTest):
     mode: Annotated[int, Field(ge=1)] | None = None
     """Instead of displacement and velocity: number of the mode whose shape is the initial displacement, from 1."""
     amplitude: Annotated[float, Quantity(LENGTH, above=0.0)] | None = None
-    """Largest initial displacement of the mode shape [m]; only with `mode`."""
+    """Initial displacement at the largest component of the mode shape [m]; only with `mode`."""
     duration: Duration = 6.0
     """Duration of the test [s]."""
 

@@ -16,7 +16,7 @@ class Sine(KindOfTest):
     frequency: Frequency
     """Frequency [Hz]."""
     force: Force | None = None
-    """Amplitude of the spring force, kept constant by the controller, or of the force of a force shaker [N]."""
+    """Amplitude of the force of the coil spring, which the controller keeps constant, or of a force shaker [N]."""
     drive: Drive | None = None
     """Instead of `force`: amplitude of the drive, open loop [V, m for a table shaker, or m/s² for a base]."""
     shaker: DrivenShaker = None

@@ -130,7 +130,7 @@ class SteppedSine(SteppedTest):
     one_of: ClassVar = (("force", "drive"), ("frequencies", "points"))
     kind: Literal["stepped_sine"] = "stepped_sine"
     force: Forces | None = None
-    """Amplitude of the spring force, kept constant by the controller, or of the force of a force shaker [N]. Several
+    """Amplitude of the force of the coil spring, which the controller keeps constant, or of a force shaker [N]. Several
     levels are run one after another."""
     drive: Drives | None = None
     """Instead of `force`: amplitude of the drive, open loop [V, m for a table shaker, or m/s² for a base].

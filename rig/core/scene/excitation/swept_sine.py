@@ -56,7 +56,7 @@ class FrequencySweep(KindOfTest):
         return f"{self.sweep_direction}ward at {rate}"
 
     def frequency_at(self, fraction: Any) -> Any:
-        """Return the frequency [Hz] at a fraction, 0 to 1, of the sweep: a number, or an array of fractions."""
+        """Return the frequency [Hz] after a `fraction` of the duration: a number or an array, from 0 to 1."""
         if self.spacing == "linear":
             return self.from_ + (self.to - self.from_) * fraction
         return self.from_ * (self.to / self.from_) ** fraction
@@ -88,7 +88,7 @@ class SweptSine(FrequencySweep):
     # The controller identifies the shaker from both ends of its spring, so it does not use a force sensor.
     controls_by_cell: ClassVar = False
     force: Force | None = None
-    """Amplitude of the spring force, kept constant by the controller, or of the force of a force shaker [N]."""
+    """Amplitude of the force of the coil spring, which the controller keeps constant, or of a force shaker [N]."""
     drive: Drive | None = None
     """Instead of `force`: amplitude of the drive, open loop [V, m for a table shaker, or m/s² for a base]."""
     shaker: DrivenShaker = None

@@ -14,7 +14,7 @@ from rig.core.settings.quantity_field import Quantity
 
 
 class BaseShaker(KindOfShaker):
-    """A table with prescribed acceleration that carries the whole structure: its springs to ground end at the table."""
+    """A table with prescribed acceleration that carries the whole structure; springs to ground are attached to it."""
 
     kind: Literal["base"] = "base"
     centering: Annotated[float, Quantity(FREQUENCY, above=0.0)] = 0.5

@@ -240,6 +240,9 @@ def test_texts_and_scales_suit_the_values(bench, browser):
         False,
         True,
     ]
+    # A peak without damping and with a low coherence is uncertain down to half of its power.
+    row = "{smooth: Array(6).fill(true), magnitude: [1, 8, 9, 7, 1, 9], coherence: [0.8, 0.8, 0.8, 0.95, 0.8, 0.8]}"
+    assert value(f"outsidePeaks({row}, [2])") == [True, False, False, True, True, True]
     # The axis of a hammer test is logarithmic and ends at the highest excited frequency.
     curves = "{frequency: Float32Array.of(0, 0.5, 1, 300, 400), rows: [{magnitude: Float32Array.of(1, 1, 1, 1, NaN)}]}"
     low, high = value(f"response.range.call({{curves: {curves}}})")

@@ -35,8 +35,11 @@ const response = {
       const { frequency, magnitude, phase, coherence, coherence_limit: [limit] } = arrays;
       const rows = this.channels.map((channel, k) => {
         const angle = wrapped(phase[k]), smooth = determined(angle, coherence[k], limit);
+        const row = { ...channel, magnitude: magnitude[k], phase: angle, coherence: coherence[k], relation: arrays.relation[k], smooth };
+        const unresolved = head.peaks.filter(([, , damping, , name]) => damping == null && name === channel.name);
+        row.certain = outsidePeaks(row, unresolved.map(([f]) => frequency[0].indexOf(Math.fround(f))));
         // A single average has a smooth phase, but an unknown scatter.
-        return { ...channel, magnitude: magnitude[k], phase: angle, coherence: coherence[k], relation: arrays.relation[k], smooth, determined: smooth.map((each, line) => each && isFinite(limit[line])) };
+        return { ...row, determined: row.certain.map((each, line) => each && isFinite(limit[line])) };
       });
       this.curves = { test: head.test, level: head.level, limit, force: arrays.force[0], frequency: frequency[0], rows };
     }
@@ -88,7 +91,8 @@ const response = {
     }
     for (const [number, row] of (curves?.rows ?? []).entries()) {
       const style = { x: curves.frequency, color: row.color, dots: true, mark: number };
-      const certain = row.smooth.map((each, k) => each && !row.relation[k]), angular = (row.angular = longRuns(certain, RUN, row.coherence)), only = (y, isShown) => y.map((value, k) => (isShown(k) ? value : NaN));
+      const [certain, smooth] = [row.certain, row.smooth].map((lines) => lines.map((each, k) => each && !row.relation[k]));
+      const angular = (row.angular = longRuns(smooth, RUN, row.coherence)), only = (y, isShown) => y.map((value, k) => (isShown(k) ? value : NaN));
       magnitude.push({ ...style, y: micro(row.magnitude), width: 0.9, opacity: 0.6, noisy: true });
       magnitude.push({ ...style, y: only(micro(row.magnitude), (k) => row.relation[k]), width: 1.6, dash: [5, 4] });
       magnitude.push({ ...style, y: only(micro(row.magnitude), (k) => certain[k]), width: isSingle ? 0.9 : 1.8 });
@@ -129,10 +133,10 @@ const response = {
     return this.curves.frequency.reduce((best, f, k) => (this.curves.rows.some((row) => isFinite(row.magnitude[k])) && Math.abs(f - frequency) < Math.abs(best - frequency) ? f : best), Infinity);
   },
 
-  // Return whether a peak is uncertain: the curve is thin there, or the test passes it too fast for a lower limit.
-  isUncertain([frequency, , damping, , name]) {
+  // Return whether a peak is uncertain: the curve is thin there.
+  isUncertain([frequency, , , , name]) {
     const row = this.curves?.rows.find((each) => each.name === name), k = this.curves?.frequency.indexOf(Math.fround(frequency));
-    return row !== undefined && (!row.determined[k] || (damping == null && row.coherence?.[k] < COHERENT_PHASE));
+    return row !== undefined && !row.determined[k];
   },
 
   // The value and the phase of a curve at a line; uncertain values have the sign ~, and no phase if none is drawn.
@@ -162,7 +166,7 @@ const response = {
       const row = $("peaks").rows[k + 1];
       row.classList.toggle("bound", relation !== "");
       row.classList.toggle("uncertain", uncertain[k]);
-      row.title = uncertain[k] ? "Uncertain: the curve is thin here, or γ² < 0.9 without damping. Sweep slower, or average more." : "";
+      row.title = uncertain[k] ? "Uncertain: the curve is thin here. Sweep slower, or average more." : "";
       if (damping == null && !uncertain[k]) row.lastChild.title = relation ? "No damping: the peak is clipped." : "Lower limit, no damping: the half-power width has fewer than 3 lines, one side of the peak is not measured, or its coherence is low.";
     });
   },
@@ -191,8 +195,9 @@ function clientLevel({ force }) {
 }
 
 // The reason why a curve is thin.
-function scatterText({ limit, force }) {
-  if (limit.some(isFinite)) return "γ² below dashed limit, or phase scatters";
+function scatterText({ limit, force, rows }) {
+  const hasFastPeak = rows?.some(({ certain, smooth }) => certain.some((each, k) => each !== smooth[k]));
+  if (limit.some(isFinite)) return `γ² below dashed limit${hasFastPeak ? ` (${COHERENT_PHASE} at peaks without damping)` : ""}, or phase scatters`;
   return `one ${force.some(isFinite) ? "average" : "impact"}: scatter unknown`;
 }
 
@@ -218,6 +223,18 @@ function determined(phase, coherence, limit) {
   // A single average has no coherence; among averages, a line without coherence is uncertain.
   const isSingle = coherence.every(isNaN);
   return Array.from(coherence, (value, k) => (isSingle || value >= limit[k]) && around(inside, k).some(Boolean));
+}
+
+// Certain lines: smooth, and not at a peak without damping whose coherence is low, which the test passes too fast for a
+// lower limit. Such a peak extends to half of its power.
+function outsidePeaks({ smooth, magnitude, coherence }, peaks) {
+  const certain = smooth.slice();
+  for (const peak of peaks) {
+    for (const step of [-1, 1]) {
+      for (let k = peak; coherence[k] < COHERENT_PHASE && magnitude[k] >= Math.SQRT1_2 * magnitude[peak]; k += step) certain[k] = false;
+    }
+  }
+  return certain;
 }
 
 // The phase from -330° to 30°, as in the report: a receptance out of phase stays at -180°, and in phase at 0°.

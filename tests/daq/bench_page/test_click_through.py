@@ -264,6 +264,9 @@ def test_texts_and_scales_suit_the_values(bench, browser):
         {"level": 0.5**0.5, "kind": "amplitude"}
     )
     assert value("clientLevel({force: new Float32Array(9).fill(0.5)})") == {"level": 0.5, "kind": "rms"}
+    # Cursor A is at the largest of a few tones.
+    tones = "frequency: [5, 6, 7], force: Float32Array.of(0.1, 0.5, NaN)"
+    assert value(f"[null, 1].map((level) => largestTone({{level, {tones}}}))") == [[6], []]
     # A fault is final, a weak pulse may still rise.
     assert value("[['clipped'], ['too weak'], []].map((faults) => isJudged([1, 9, faults, false, false]))") == [
         True,

@@ -4,7 +4,7 @@
 const AMBER = "#ffc53d"; // limits, and bounds instead of values
 const COLORS = { text: "#cfd6de", grid: "#323b46", minor: "#232a32", frame: "#4a5562" };
 const FEW = 6; // A curve with fewer points shows tones.
-const MARK = 7; // radius of the mark of a tone, px
+const MARK = 5, MARK_STEP = 3; // radius of the mark of a tone, and its step between curves, whose marks may coincide, px
 const LEFT = 54, RIGHT = 8, TOP = 8, BOTTOM = 32, GAP = 13; // px
 
 class Chart {
@@ -95,7 +95,7 @@ class Chart {
     context.setLineDash(dash);
     context.beginPath();
     // The points of a few tones are larger than those among lines, and hollow: circle, square, triangle.
-    const isFew = y.filter((value) => isFinite(value)).length < FEW, sides = [32, 4, 3, 6, 5][mark % 5];
+    const isFew = y.filter((value) => isFinite(value)).length < FEW, sides = [32, 4, 3, 6, 5][mark % 5], radius = MARK + MARK_STEP * (mark % 5);
     for (let k = 0; k < y.length; k++) {
       if (isGap(k)) continue;
       const px = this.position(x[k]), py = toPixel(y[k]);
@@ -109,7 +109,7 @@ class Chart {
       if (!isFew) context.rect(px - 1, py - 1, 2, 2);
       for (let j = 0; isFew && j <= sides; j++) {
         const angle = (2 * Math.PI * (j + (sides === 4) / 2)) / sides;
-        context[j ? "lineTo" : "moveTo"](px + MARK * Math.sin(angle), py - MARK * Math.cos(angle));
+        context[j ? "lineTo" : "moveTo"](px + radius * Math.sin(angle), py - radius * Math.cos(angle));
       }
     }
     context.stroke();

@@ -5,6 +5,7 @@ const response = {
   curves: null, // {test, frequency, rows: [{name, color, magnitude, phase, coherence, relation, determined}]}
   previous: null,
   theory: null, // {frequency, rows: [[...]]}
+  cursors: [], // frequencies that the operator selected
 
   start(channels, isLinear) {
     this.channels = channels.filter((channel) => channel.responds);
@@ -16,12 +17,12 @@ const response = {
     fillLegend($("legend"), this.channels);
     make($("legend"), "small").id = "thin";
     $("frf").addEventListener("click", (event) => {
-      const { chart } = this, frequency = this.nearest(chart.value(event.offsetX));
-      if (IS_TOUCH) chart.cursors = [...chart.cursors, frequency].slice(-2);
-      else chart.cursors[event.shiftKey ? 1 : 0] = frequency;
+      const frequency = this.nearest(this.chart.value(event.offsetX));
+      if (IS_TOUCH) this.cursors = [...this.cursors, frequency].slice(-2);
+      else this.cursors[event.shiftKey ? 1 : 0] = frequency;
       this.draw();
     });
-    $("frf").addEventListener("dblclick", () => { this.chart.cursors = []; this.draw(); });
+    $("frf").addEventListener("dblclick", () => { this.cursors = []; this.draw(); });
     $("last").addEventListener("change", () => this.draw());
     $("theory").addEventListener("change", () => ($("theory").checked ? send("theory") : this.draw()));
   },
@@ -29,7 +30,7 @@ const response = {
   // Process a message. When a test begins, the curves of the previous test become the curves of the last test.
   update({ response: head, arrays }) {
     if (!head) return;
-    if (this.curves && this.curves.test !== head.test) [this.previous, this.curves, this.chart.cursors] = [this.curves, null, []];
+    if (this.curves && this.curves.test !== head.test) [this.previous, this.curves, this.cursors] = [this.curves, null, []];
     this.head = head;
     if (arrays.frequency) {
       const { frequency, magnitude, phase, coherence, coherence_limit: [limit] } = arrays;
@@ -107,6 +108,7 @@ const response = {
     const fixed = (values) => values.map((value) => [value, true]), range = this.range();
     // Noise does not determine the axis of the magnitude; arrows need space.
     const [low, high] = limits({ log: true, curves: magnitude.filter((curve) => !curve.noisy) });
+    this.chart.cursors = this.cursors.length || !curves ? this.cursors : largestTone(curves);
     // The axis is logarithmic unless the band is narrow, as in figures and report.
     this.chart.x.log = range[1] >= 2 * range[0] && range[0] > 0;
     this.chart.show(range, [
@@ -192,6 +194,12 @@ const PIECE = 4; // lines of the shortest drawn piece of a phase between two wra
 function clientLevel({ force }) {
   const known = force.filter(isFinite), isTone = known.length < FEW;
   return { level: known.length ? Math.max(...known) * (isTone ? Math.SQRT2 : 1) : null, kind: isTone ? "amplitude" : "rms" };
+}
+
+// The frequency of the largest of a few tones of NI clients, at which cursor A has its values.
+function largestTone({ level, frequency, force }) {
+  const known = force.filter(isFinite);
+  return level == null && known.length && known.length < FEW ? [frequency[force.indexOf(Math.max(...known))]] : [];
 }
 
 // The reason why a curve is thin.

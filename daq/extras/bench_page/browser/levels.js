@@ -33,13 +33,13 @@ const levels = {
       row.bar.style.width = `${part(level, channel.limit)}%`;
       row.hold.style.left = `calc(${part(row.held, channel.limit)}% - 2px)`;
       const clips = state.clipping.includes(k);
-      row.value.firstChild.data = `${clips ? "≥ " : ""}${withUnit(level, channel.unit)}`;
+      row.value.firstChild.data = `${clips ? "≥ " : ""}${withUnit(level, channel.unit, 3, reading)}`;
       row.value.classList.toggle("bound", clips);
       row.over = Boolean(overload);
       row.name.classList.toggle("over", row.over);
       if (!overload) return;
-      const [first, last, reading] = overload, times = new Set([first, last].map((time) => digits(time, 4)));
-      const text = `${cause(channel, reading)} (${[...times].join(" to ")}\u00a0s)`;
+      const [first, last, largest] = overload, times = new Set([first, last].map((time) => digits(time, 4)));
+      const text = `${cause(channel, largest)} (${[...times].join(" to ")}\u00a0s)`;
       causes.set(text, [...(causes.get(text) ?? []), channel.name]);
     });
     // Channels with the same cause and times are listed together.

@@ -144,7 +144,7 @@ const response = {
   // The value and the phase of a curve at a line; uncertain values have the sign ~, and no phase if none is drawn.
   cell({ magnitude, phase, relation, determined: certain, angular }, k) {
     const sign = RELATIONS[relation[k]] || (certain[k] || !isFinite(magnitude[k]) ? "" : "~");
-    return `${sign}${digits(1e6 * magnitude[k], 3)}\n${angular[k] ? `${digits(phase[k], 3)}°` : "–"}`;
+    return `${sign}${reading(1e6 * magnitude[k], 3)}\n${angular[k] ? `${reading(phase[k], 3)}°` : "–"}`;
   },
 
   // The values at the cursors, and the peak list.
@@ -155,15 +155,15 @@ const response = {
     if (!columns.length) columns.push(...["A", "B", "B − A"].map((name) => [name, "–", ...this.channels.map(() => "–")]));
     else if (columns.length > 1) {
       const [[f, i], [g, k]] = cursors;
-      columns.push(["B − A", digits(g - f, 4), ...curves.rows.map((row) => `${row.determined[i] && row.determined[k] ? "" : "~\u2009"}${digits(20 * Math.log10(row.magnitude[k] / row.magnitude[i]), 3)}`)]);
+      columns.push(["B − A", digits(g - f, 4), ...curves.rows.map((row) => `${row.determined[i] && row.determined[k] ? "" : "~\u2009"}${reading(20 * Math.log10(row.magnitude[k] / row.magnitude[i]), 3)}`)]);
     }
     fillTable($("cursors"), ["", "f / Hz", ...this.channels.map((channel) => channel.name)].map((name, k) => [name, ...columns.map((column) => column[k])]));
     const peaks = this.head?.peaks ?? [];
     $("peak-hint").hidden = peaks.length > 0;
     const uncertain = peaks.map((peak) => this.isUncertain(peak));
     fillTable($("peaks"), [["peak", "f / Hz", "µm/N", "ζ / %"], ...peaks.map(([f, value, damping, expanded, name, relation], k) => [
-      name, digits(f, 5), relation === "?" ? "clipped" : `${relation || (uncertain[k] ? "~" : damping == null ? "≥ " : "")}${digits(1e6 * value, 3)}`,
-      damping == null || uncertain[k] ? "–" : this.isLinear ? withInterval(100 * damping, 100 * expanded) : `~${digits(100 * damping, 2)}`])]);
+      name, digits(f, 5), relation === "?" ? "clipped" : `${relation || (uncertain[k] ? "~" : damping == null ? "≥ " : "")}${reading(1e6 * value, 3)}`,
+      damping == null || uncertain[k] ? "–" : this.isLinear ? withInterval(100 * damping, 100 * expanded) : `~${reading(100 * damping, 2)}`])]);
     peaks.forEach(([, , damping, , , relation], k) => {
       const row = $("peaks").rows[k + 1];
       row.classList.toggle("bound", relation !== "");

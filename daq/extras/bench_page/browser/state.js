@@ -18,8 +18,8 @@ const bar = {
     $("progress").querySelector("i").style.width = `${100 * (progress ?? 0)}%`;
     $("progress").lastChild.textContent = progress == null ? "" : `${Math.floor(100 * progress)} %${remaining == null ? "" : `, ${Math.ceil(remaining)} s left`}`;
     const client = state.is_driven_by_clients && response.curves?.level === null ? clientLevel(response.curves) : null;
-    setText("tone", `${digits(client?.kind === "rms" ? null : state.tone)} Hz`);
-    setText("measured", `${digits(client ? client.level : state.running ? state.force : null, 3)} N`);
+    setText("tone", `${reading(client?.kind === "rms" ? null : state.tone, 4)} Hz`);
+    setText("measured", `${reading(client ? client.level : state.running ? state.force : null, 3)} N`);
     setText("force", state.running ? levelText(state) : client ? `force ${client.kind}` : "measured force");
     setText("lag", state.lag < 0.04 ? "" : `${Math.round(1000 * state.lag)} ms late`);
     $("lag").classList.toggle("bad", state.lag >= 0.25);
@@ -59,7 +59,7 @@ const bar = {
       Object.assign(box, { type: "checkbox", checked: accepted, disabled: !complete, title: "Use this impact for the response" });
       box.addEventListener("change", () => send("accept", [number, box.checked]));
       make(row, "td", `${number}`);
-      make(row, "td", `${isClipped ? "≥ " : ""}${digits(peak, 3)} N`).className = isClipped ? "bound" : "";
+      make(row, "td", `${isClipped ? "≥ " : ""}${reading(peak, 3)} N`).className = isClipped ? "bound" : "";
       make(row, "td", isJudged(hit) ? (accepted ? "✓" : "✗") : "").className = accepted ? "" : "excluded";
       make(row, "td", verdict || (complete ? "good" : "measuring")).className = verdict ? "bound" : "";
     }
@@ -79,5 +79,6 @@ function isJudged([, , faults, , complete]) {
 
 // The level of the test, and the deviation of the measured level as soon as it is known.
 function levelText({ target, level_kind: kind, force }) {
-  return `of ${digits(target, 3)} N ${kind}${force == null ? "" : `\n(${force < target ? "−" : "+"}${Math.abs(100 * (force / target - 1)).toFixed(1)} %)`}`;
+  const percent = (100 * (force / target - 1)).toFixed(1), sign = Number(percent) ? (percent < 0 ? "−" : "+") : "";
+  return `of ${reading(target, 3)} N ${kind}${force == null ? "" : `\n(${sign}${percent.replace("-", "")} %)`}`;
 }

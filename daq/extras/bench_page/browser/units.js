@@ -26,11 +26,17 @@ function digits(value, count = 4) {
   return mantissa === "1.0" ? power : `${Number(mantissa)}·${power}`;
 }
 
+// A measured value has the zeros at its end, so that values below each other have equal digits.
+function reading(value, count) {
+  const short = digits(value, count), full = value?.toPrecision(count);
+  return Number(full) === Number(short) && !full.includes("e") ? full : short;
+}
+
 // A value with its unit; micrometers from 1000 on are millimeters.
-function withUnit(value, unit, count = 3) {
+function withUnit(value, unit, count = 3, format = digits) {
   const { factor, name } = quantity(unit), scaled = value * factor;
   return name.startsWith("µm") && Math.abs(scaled) >= 1000
-    ? `${digits(scaled / 1000, count)} ${name.replace("µm", "mm")}` : `${digits(scaled, count)} ${name}`;
+    ? `${format(scaled / 1000, count)} ${name.replace("µm", "mm")}` : `${format(scaled, count)} ${name}`;
 }
 
 // A value with its expanded uncertainty, which has two digits.

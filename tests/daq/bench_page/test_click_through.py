@@ -241,6 +241,10 @@ def test_texts_and_scales_suit_the_values(bench, browser):
     # A few lines among noise have a smooth phase by chance.
     phase = "Float32Array.from({length: 200}, (_, k) => k > 95 && k < 105 ? k / 10 : (40 * k) % 180)"
     assert not any(value(f"determined({phase}, new Float32Array(200).fill(NaN))"))
+    # The last coherent run of a growing curve is drawn before it is long.
+    runs = "Array.from({length: 60}, (_, k) => k < 20 || (k > 30 && k < 36) || k > 52)"
+    drawn = value(f"[false, true].map((grows) => longRuns({runs}, RUN, new Float32Array(60).fill(1), grows))")
+    assert [[sum(part[:25]), sum(part[25:45]), sum(part[45:])] for part in drawn] == [[20, 0, 0], [20, 0, 7]]
     # A peak where the curve is thin is uncertain.
     curves = "{frequency: Float32Array.of(0.1, 0.2), rows: [{name: 'a', determined: [true, false]}]}"
     assert value(f"[0.1, 0.2].map((f) => response.isUncertain.call({{curves: {curves}}}, [f, 1, null, 0, 'a']))") == [

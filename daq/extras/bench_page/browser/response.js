@@ -28,8 +28,9 @@ const response = {
   },
 
   // Process a message. When a test begins, the curves of the previous test become the curves of the last test.
-  update({ response: head, arrays }) {
+  update({ response: head, arrays, state }) {
     if (!head) return;
+    this.isGrowing = state.running;
     if (this.curves && this.curves.test !== head.test) [this.previous, this.curves, this.cursors] = [this.curves, null, []];
     this.head = head;
     if (arrays.frequency) {
@@ -93,7 +94,7 @@ const response = {
     for (const [number, row] of (curves?.rows ?? []).entries()) {
       const style = { x: curves.frequency, color: row.color, dots: true, mark: number };
       const [certain, smooth] = [row.certain, row.smooth].map((lines) => lines.map((each, k) => each && !row.relation[k]));
-      const angular = (row.angular = longRuns(smooth, RUN, row.coherence)), only = (y, isShown) => y.map((value, k) => (isShown(k) ? value : NaN));
+      const angular = (row.angular = longRuns(smooth, RUN, row.coherence, this.isGrowing && !isSingle)), only = (y, isShown) => y.map((value, k) => (isShown(k) ? value : NaN));
       magnitude.push({ ...style, y: micro(row.magnitude), width: 0.9, opacity: 0.6, noisy: true });
       magnitude.push({ ...style, y: only(micro(row.magnitude), (k) => row.relation[k]), width: 1.6, dash: [5, 4] });
       magnitude.push({ ...style, y: only(micro(row.magnitude), (k) => certain[k]), width: isSingle ? 0.9 : 1.8 });
@@ -209,12 +210,14 @@ function scatterText({ limit, force, rows }) {
   return `one ${force.some(isFinite) ? "average" : "impact"}: scatter unknown`;
 }
 
-// Remove runs of few lines or with a low coherence, unless there are no other runs, as with a few tones.
-function longRuns(values, fewest, coherence = null) {
+// Remove runs of few lines or with a low coherence, unless there are no other runs, as with a few tones. The first and
+// the last run of a growing curve may be as short as a piece, because a sweep in either direction prolongs them.
+function longRuns(values, fewest, coherence = null, isGrowing = false) {
   const isCoherent = ([start, stop]) => !(coherence?.slice(start, stop).reduce((sum, value) => sum + value, 0) < COHERENT_PHASE * (stop - start));
   const starts = values.map((value, k) => (value ? k : -1)).filter((k) => k >= 0 && !values[k - 1]);
   const end = (start) => (values.indexOf(false, start) + values.length + 1) % (values.length + 1);
-  const runs = starts.map((start) => [start, end(start)]), long = runs.filter((run) => run[1] - run[0] >= fewest && isCoherent(run));
+  const runs = starts.map((start) => [start, end(start)]), isEnd = (run) => isGrowing && (run === runs[0] || run === runs.at(-1));
+  const long = runs.filter((run) => run[1] - run[0] >= (isEnd(run) ? PIECE : fewest) && isCoherent(run));
   return long.length ? values.map((_, k) => long.some(([start, stop]) => k >= start && k < stop)) : values;
 }
 

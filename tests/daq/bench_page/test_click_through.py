@@ -284,6 +284,15 @@ def test_texts_and_scales_suit_the_values(bench, browser):
         False,
         False,
     ]
+    # Idle noise neither fills an axis nor is a line at zero: 7 µm of 0.49 m.
+    idle = value("""(() => {
+        const kept = channels;
+        channels = [{name: 'a', unit: 'm', limit: 0.49}];
+        const {range} = panels('idle', [0, 1], [Float32Array.of(7e-6, 0)], false)[0];
+        channels = kept;
+        return range;
+    })()""")
+    assert idle == [-50, 50]
     names = "[...document.querySelectorAll('#history-legend [data-name]')].map((entry) => entry.textContent)"
     assert value(names) == value("channels.map((channel) => channel.name)")
     panel = "{name: 'µm', range: [-2000, 2000], curves: [{y: Float32Array.of(1500)}]}"

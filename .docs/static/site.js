@@ -11,6 +11,9 @@ for (const image of document.querySelectorAll("article p > img")) {
   image.decode().then(() => image.classList.toggle("wide", image.naturalWidth > 1.3 * image.naturalHeight && !image.src.endsWith("replay.png")), () => {});
 }
 
+// Short inline code is not broken; longer code must fit a narrow page.
+for (const code of document.querySelectorAll("article code.literal")) code.classList.toggle("short", code.textContent.length <= 16);
+
 // A block that a reader saves has the name of its file.
 for (const name of document.querySelectorAll("article p code")) {
   const block = /Save this as $/.test(name.previousSibling?.textContent ?? "") && name.closest("p").nextElementSibling?.querySelector(".highlight");

@@ -17,7 +17,7 @@ from analysis.core.recordings.names import takes_path
 from analysis.core.recordings.slices import impact_ranges, interpolated
 from analysis.core.responses.errors.systematic import clock_deviation
 from analysis.core.responses.measurands import motion_channel, response_channels
-from daq.core.recording.markers import faulty_impacts
+from daq.core.recording.markers import BETWEEN_FILES, faulty_impacts
 from daq.core.recording.recording import Recording
 from daq.core.signal_chain.channel import ChannelInfo
 from rig.core.base.arrays import Array
@@ -49,8 +49,6 @@ _MIN_ENERGY_RATIO = 1e-30
 _MAX_OVERLOADED_FRACTION = 0.1
 # Lost samples are interpolated if they are at most this fraction of a decay.
 _MAX_LOST_FRACTION = 0.01
-# An imported decay ends at a gap of at least this number of samples: `daq import` inserts 16 between joined files.
-_MIN_PAUSE = 16
 # Assumed frequency of the lowest mode if no mode is detected.
 _DEFAULT_MODE_HZ = 10.0
 
@@ -334,9 +332,8 @@ def _decay_limits(rec: Recording, info: ChannelInfo, impact: int) -> tuple[int, 
     # before this response.
     read_stop = arrival(info, ranges[impact][0], ranges[impact][0])[0] if impact < len(ranges) else rec.samples
     max_response_delay = arrival(info, 0, 0)[1]
-    if rec.source:
-        long_gaps = (gap.first_sample for gap in rec.gaps if gap.last_sample - gap.first_sample + 1 >= _MIN_PAUSE)
-        read_stop = min(read_stop, next((first for first in long_gaps if first > last), read_stop))
+    ends_of_files = (gap.first_sample for gap in rec.gaps if gap.reason == BETWEEN_FILES and gap.first_sample > last)
+    read_stop = min(read_stop, next(ends_of_files, read_stop))
     decay_start, decay_stop = last + 1, read_stop - max_response_delay
     # Include samples before the impact so that the band-pass starts with the structure at rest.
     read_start = max(first - int(0.5 * rec.rate), ranges[impact - 2][1] + 1 if impact > 1 else 0, 0)

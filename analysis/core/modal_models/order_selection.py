@@ -211,7 +211,7 @@ def computational_poles(curves: Curves, model: ModalModel) -> NDArray[np.intp]:
         is_unresolved = (
             curves.references == 1
             and distance < min_distance * mean_width
-            and (is_nonlinear or _shape_mac(curves, model.residue[:, [low, high]]) > _MAX_RESOLVED_MAC)
+            and (is_nonlinear or not _shape_mac(curves, model.residue[:, [low, high]]) <= _MAX_RESOLVED_MAC)
         )
         is_close = distance < _CLOSE_POLE_WIDTHS * mean_width
         if (

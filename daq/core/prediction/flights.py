@@ -122,7 +122,9 @@ def _actions_at(
         for time in rehearsal.event_times[row]:
             sample = round(time * rehearsal.rate)
             actions = is_steady if rehearsal.is_measured(sample) else is_transient
-            actions[index_of(rehearsal.frequency_at(sample))] = True
+            frequency = rehearsal.frequency_at(sample)
+            if frequency is not None or frequencies.size == 1:
+                actions[index_of(frequency)] = True
     return is_steady, is_transient & ~is_steady
 
 

@@ -181,6 +181,10 @@ class _Fields(dict[str, Any]):
         raise RecordingError(f"{MARKERS}: a marker of kind {self._kind!r} lacks the field {key}. {WRITER_REMEDY}")
 
 
+#: Reason of a gap between the files that `daq import` joins: another measurement begins after it.
+BETWEEN_FILES = "between joined files"
+
+
 @dataclass(frozen=True)
 class Gap:
     """Missing samples of a recording, which read as NaN."""

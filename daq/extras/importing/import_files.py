@@ -15,6 +15,7 @@ from daq.core.excitation import procedure_of
 from daq.core.measurement.run import missing_force_reference
 from daq.core.recording.committed_file import locked
 from daq.core.recording.layout import MAX_VOLTS, require_ordered_times
+from daq.core.recording.markers import BETWEEN_FILES
 from daq.core.recording.recorder import Recorder
 from daq.core.signal_chain.driving_power import MOTION_INTEGRATIONS, DrivingPower
 from daq.extras.importing.assignment import AssignedSignal, ChosenSignal, assign, choose_signals, contradicted_units
@@ -393,7 +394,9 @@ class _RecordingWriter:
             where = f"{name} ({signal.name!r} of {signal.file})"
             lost = merge_spans(lost_ranges)
             for first, stop in lost:
-                recorder.mark("lost", first, stop - 1, channels=[name], reason=f"not in {signal.file}")
+                is_join = any(first <= start < stop for start, _ in signal.separators)
+                reason = BETWEEN_FILES if is_join else f"not in {signal.file}"
+                recorder.mark("lost", first, stop - 1, channels=[name], reason=reason)
             separating = sum(min(stop, signal.samples) - first for first, stop in signal.separators)
             count = sum(stop - first for first, stop in lost if first < signal.samples) - separating
             if count:

@@ -147,13 +147,14 @@ def loadings_per_level(scene: Scene, system: HybridSystem, omega: Array) -> Arra
 def _loadings(system: HybridSystem, response: ComplexArray, omega: Array) -> Array:
     """Return the loadings of all elements in a response, as `loadings_per_level`."""
     loadings = np.zeros((len(system.elements), response.shape[1]))
-    loadings[: system.dampers] = (
-        _damper_accelerations(system, response, omega) / system.separation_acceleration[:, None]
-    )
-    for row in _between_walls(system):
-        with np.errstate(divide="ignore"):
+    # Without gravity, and at a wall, any motion exceeds the limit; an element at rest has no loading.
+    with np.errstate(divide="ignore", invalid="ignore"):
+        loadings[: system.dampers] = (
+            _damper_accelerations(system, response, omega) / system.separation_acceleration[:, None]
+        )
+        for row in _between_walls(system):
             loadings[row] = np.abs(system.elements[row].along_gap(response.T)) / system.elements[row].distance
-    return loadings
+    return np.nan_to_num(loadings, nan=0.0, posinf=np.inf)
 
 
 def linear_limits(scene: Scene, frequency: Array) -> Array:

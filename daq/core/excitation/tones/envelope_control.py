@@ -283,7 +283,8 @@ class EnvelopeTone(RepeatingTone):
         previous = np.inf
         while True:
             held = yield from self.hold_envelope(samples, target, feedback=False)
-            if held.repetition == 1 or held.growth or self.deviation > _DECAYING_RATIO * previous:
+            # `not <=` ends the repetition for NaN, too.
+            if held.repetition == 1 or held.growth or not self.deviation <= _DECAYING_RATIO * previous:
                 return held
             previous = self.deviation
 

@@ -164,6 +164,8 @@ def _warning(key_path: KeyPath, written: Any, unit: str, meaning: str) -> Proble
     """Return the warning for a value; `unit` is the intended unit."""
     given = _unit(written)
     intended = f"{str(written).strip().removesuffix(given).strip()} {unit}"
+    if given == unit:
+        return Problem(key_path, f"got {written}, {meaning}. Check this value.")
     if given:
         return Problem(key_path, f"got {written}, {meaning}. Did you mean {intended}?")
     return Problem(key_path, f"got {written} without a unit, {meaning}. Add the intended unit, such as {intended}.")

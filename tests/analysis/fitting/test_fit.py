@@ -314,7 +314,7 @@ def test_omitted_points_are_drawn_as_crosses():
         compared=[Comparison(curves, value, is_fitted, np.ones((1, 4)), 1.0)], scene=demo.scene, modes=()
     )
     axes = fit_figure(result).axes  # type: ignore[arg-type]
-    assert axes[0].get_title(loc="left").startswith("Fig 8, dampers in all three bodies, stepped sine, ")
+    assert axes[0].get_title(loc="left").startswith("Fit: Fig 8, dampers in all three bodies")
     assert axes[1].get_title(loc="left") == "Residual 100 % of the curve, rms, 1 point omitted"
     for ax in axes:
         crosses = [line for line in ax.lines if line.get_marker() == "x"]

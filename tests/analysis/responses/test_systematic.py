@@ -36,7 +36,7 @@ def channel(name="a1", at="body 1", **sheet):
 def recording(*channels, converter="rate: 5120 Hz"):
     """Return a substitute for a recording, with the attributes that the bounds of errors use."""
     scene = rig.loads(SCENE % converter, where="a test")
-    return SimpleNamespace(channels={info.name: info for info in channels}, scene=scene)
+    return SimpleNamespace(channels={info.name: info for info in channels}, scene=scene, source="")
 
 
 def only_bound(bounds):

@@ -78,6 +78,7 @@ CHAIN = "structure: {masses: [%s, 0.7 kg], springs: [%s, 20 kN/m]}\ndampers: [{b
         (("800", "24 kN/m", "99 kg"), r"masses\[1\]: got 800 without a unit, read as 800 kg: .* such as 800 g"),
         (("0.8 kg", "24 kN/m", "100"), r"dampers\[1\].mass: got 100 .*, 125 times the mass .* such as 100 g"),
         (("0.8 kg", "24 kN/m", "1.5 kg"), r"dampers\[1\].mass: got 1.5 kg, .* 1.88 times the mass .* mean 1.5 g\?"),
+        (("0.8 kg", "24 kN/m", "1500 g"), r"dampers\[1\].mass: got 1500 g, .* 1.88 times the mass .* Check this value"),
         (("0.8 kg", "24 kN/m", "74 mg"), r"dampers\[1\].mass: got 74 mg, .* Did you mean 74 g\?"),
     ],
 )

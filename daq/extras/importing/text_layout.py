@@ -339,7 +339,7 @@ def _with_columns(path: Path, layout: Layout, first_lines: Sequence[str], cells:
     rate = rate_of_interval(interval) if interval else _stated_rate([*heading, *keyed_lines], layout.decimal_comma)
     layout = layout._replace(rate=rate)
     first_cell = int(not interval and _has_line_numbers(layout, first_lines, names, units))
-    is_assumed = first_cell and names[0] == UNNAMED.format(1) and not _is_abscissa(names[1], units[1])
+    is_confirmed = first_cell and (_is_abscissa(names[1], units[1]) or (layout.rate and names[0] != UNNAMED.format(1)))
     names, units = names[first_cell:], units[first_cell:]
     if not any(units[1:]) and (keyed := keyed_heading(rows_above, len(names))) is not None:
         if any(units):
@@ -347,9 +347,12 @@ def _with_columns(path: Path, layout: Layout, first_lines: Sequence[str], cells:
             units = [units[0], *keyed[1][1:]]
         else:
             names, units = [name or other for name, other in zip(keyed[0], names, strict=True)], keyed[1]
-    elif is_assumed:
+    elif first_cell and not is_confirmed:
         names = [UNNAMED.format(k) if name.startswith(_NO_NAME) else name for k, name in enumerate(names, 1)]
-        warn(f"{path}: its first column contains line numbers, and is omitted. If it is a signal, add a line of names.")
+        warn(
+            f"{path}: its first column contains line numbers, and is omitted. If it is a signal, give it a name "
+            "that is not one of line numbers."
+        )
     # The column of times is empty if the heading states the sample interval.
     is_empty = len(names) > 2 and not cells[first_cell] and _is_abscissa(names[0], units[0])
     if len(names) > 1 and (interval or is_empty):

@@ -269,16 +269,19 @@ class Chassis:
         with self.changed:
             target = self.position + ticks
             while self.position < target:
-                self._step(target - self.position)
+                self._step(target)
 
-    def _step(self, limit: int) -> None:
-        """Advance by at most `limit` ticks, and not beyond the next event that must be processed at its tick."""
+    def _step(self, target: int) -> None:
+        """Advance to at most the tick `target`, and not beyond the next event that must be processed at its tick."""
+        # Other threads may advance the bench during this wait.
+        present = math.inf if self.clock.is_free_running else self._ticks_with_samples()
         terminals, tick = self.terminals, self.position
-        ticks = terminals.limit_ticks(min(limit, self._ticks_to_awaited_trigger()))
+        if tick >= target:
+            return
+        ticks = terminals.limit_ticks(min(target - tick, self._ticks_to_awaited_trigger()))
         for task in (*self.inputs, *self.outputs):
             ticks = max(1, min(ticks, task.max_ticks()))
-        if not self.clock.is_free_running:
-            ticks = self._ticks_with_samples(ticks)
+        ticks = int(min(ticks, present))
         volts = None
         if self._tasks_drive_outputs:
             volts = np.repeat(self.last_volts[:, None], ticks, axis=1)
@@ -304,15 +307,15 @@ class Chassis:
         if notified and not self.clock.is_free_running:
             self._await_callbacks(notified)
 
-    def _ticks_with_samples(self, ticks: int) -> int:
-        """Limit a number of ticks to those for which outputs have samples; wait for threads that write samples."""
+    def _ticks_with_samples(self) -> float:
+        """Wait for threads that write samples; return the ticks for which all outputs have samples, or infinity."""
 
         def present_limit() -> float:
             return min((run.ticks_to_last_written() for run in self.outputs.values()), default=math.inf)
 
         self.changed.wait_for(lambda: present_limit() > 0, _CALLBACK_WAIT_S)
         limit = present_limit()
-        return ticks if limit <= 0 else int(min(ticks, limit))
+        return limit if limit > 0 else math.inf
 
     def _await_callbacks(self, notified: Sequence[Runner]) -> None:
         """Wait for the callbacks of tasks, except of tasks whose callbacks were late at several events in a row."""

@@ -28,8 +28,9 @@ class SleepingThreads:
         self._is_call_expected = True
 
     def _on_call(self, call: str, task: Any) -> None:
-        if not self._has_awake_thread():
-            self._is_call_expected = True
+        with self._chassis.changed:
+            if not self._has_awake_thread():
+                self._is_call_expected = True
 
     def _has_awake_thread(self) -> bool:
         position = self._chassis.position
@@ -44,13 +45,16 @@ class SleepingThreads:
                 self._is_call_expected = False  # the thread that was expected
             self._ends[thread] = end
             chassis.changed.notify_all()
-            while chassis.is_in_use and chassis.position < end:
-                if self._is_call_expected or self._has_awake_thread():
-                    self._await_threads()
-                else:
-                    next_end = min(other for other in self._ends.values() if other is not None)
-                    chassis.pass_time((next_end - chassis.position) / chassis.rate)
-            self._ends[thread] = None
+            try:
+                while chassis.is_in_use and chassis.position < end:
+                    if self._is_call_expected or self._has_awake_thread():
+                        self._await_threads()
+                    else:
+                        ends = [other for other in self._ends.values() if other is not None]
+                        next_end = min(other for other in ends if other > chassis.position)
+                        chassis.pass_time((next_end - chassis.position) / chassis.rate)
+            finally:
+                self._ends[thread] = None
 
     def _await_threads(self) -> None:
         """Wait until time has passed or a thread has fallen asleep; stop to await threads that are late."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -43,6 +44,9 @@ def decay_figure(decays: Sequence[Decay], title: str, styles: Sequence[CurveStyl
                     label=escape_figure(decay.label) if sign > 0 else None,
                 )  # fmt: skip
             envelope_axes.plot(decay.time[shown], envelope[shown], color=color, lw=1.2)
+            envelope_axes.plot(decay.peak_time, decay.peak, style.marker, color=color, ms=3.0)
+            ring: Any = {"mfc": "white", "mec": color, "mew": 1.0, "ms": 5.5, "zorder": 3}
+            envelope_axes.plot(decay.quiet_from, gravity, "o", **ring)
             lowest = min(lowest, float(envelope[shown].min()))
             envelope_axes.plot(
                 decay.time[shown], envelope[0] * 10.0 ** (decay.energy[shown] / 20.0), color=color, lw=1.6, ls="--"
@@ -65,6 +69,7 @@ def decay_figure(decays: Sequence[Decay], title: str, styles: Sequence[CurveStyl
         add_legend_below(
             figure, "Envelope at each instant: largest acceleration within half a period of the lowest mode on either "
                 "side.",
+            "Points: peaks; ring: from this time on, every sample is below 1 g.",
             "Dashed: square root of the backward-integrated (Schroeder) energy, scaled to the start of the envelope. "
             "Dotted: 1 g.",
             "Bands: 95 % intervals of the damping ratio; triangles: upper ends of those with zero." * bool(modes),

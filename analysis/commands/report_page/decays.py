@@ -7,11 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from analysis.commands.figures.decay_figure import frequency_title, group_modes
-from analysis.commands.report_page.charts import REQUIRED, Chart, Curve, Mark, Panel
+from analysis.commands.report_page.charts import REQUIRED, Chart, Curve, Mark, Panel, symbol_curves
 from analysis.commands.report_page.measurements import Measurement
 from analysis.core.decays.free_decay import Decay
 from analysis.core.decays.modal_decay import ModalDecay
-from rig.core.base.palette import CurveStyle, recording_styles
+from rig.core.base.palette import BASELINE, CurveStyle, recording_styles
 
 # Number of drawn points of the energy; more would not be visible.
 _MAX_POINTS = 1200
@@ -29,7 +29,8 @@ def decay_charts(measurements: Sequence[Measurement], baseline_name: str) -> lis
     envelopes, energies, marks = [], [], []
     is_baseline = [label == baseline_name for label, _ in labeled_decays]
     for (label, result), style in zip(labeled_decays, recording_styles(is_baseline), strict=True):
-        envelopes.append(Curve(label, result.peak_time, result.peak, style=style))
+        for way in ("through", "points"):
+            envelopes.append(Curve(label, result.peak_time, result.peak, style=style, draw=way))
         if np.isfinite(result.quiet_from):
             marks.append(Mark(result.quiet_from, result.gravity, f"{result.quiet_from:.2g} s", style.color))
         step = max(result.time.size // _MAX_POINTS, 1)
@@ -37,6 +38,8 @@ def decay_charts(measurements: Sequence[Measurement], baseline_name: str) -> lis
     channels = ", ".join(dict.fromkeys(result.channel for _, result in labeled_decays))
     ends = np.array([0.0, max(result.time[-1] for _, result in labeled_decays)])
     envelopes.append(Curve("1 g", ends, np.full(2, labeled_decays[0][1].gravity), style=REQUIRED))
+    quiet = ((mark.x, mark.y) for mark in marks)
+    envelopes += symbol_curves("below 1 g from this time", CurveStyle(BASELINE), "circles", quiet)
     charts = [
         Chart(
             f"Free decay of {channels}: peaks of the acceleration, and backward-integrated (Schroeder) energy",
@@ -47,7 +50,7 @@ def decay_charts(measurements: Sequence[Measurement], baseline_name: str) -> lis
             ],
             x_name="time",
             x_unit="s",
-            notes=["Labels: times from which the acceleration stays below 1 g."] * bool(marks),
+            notes=["Labels: times from which every sample is below 1 g; thin lines only join the peaks."] * bool(marks),
         )
     ]
     groups = group_modes([result for _, result in labeled_decays])

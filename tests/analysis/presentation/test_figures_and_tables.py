@@ -501,6 +501,14 @@ def test_title_has_range_of_differing_modes(folder):
     ]
 
 
+def test_decay_has_ring_at_the_stated_time(folder):
+    with daq.open(folder / "hit.mcap") as rec:
+        decay = analysis.decay(rec)
+    _, peaks, ring, *_ = decay_figure([decay], "Free decay").axes[1].lines
+    assert ring.get_xydata().tolist() == [[decay.quiet_from, decay.gravity]]
+    np.testing.assert_array_equal(peaks.get_ydata(), decay.peak)
+
+
 def test_damping_that_may_be_zero_is_a_limit(folder):
     with daq.open(folder / "hit.mcap") as rec:
         decay = analysis.decay(rec)

@@ -26,6 +26,7 @@ from analysis.commands.presentation.frf_findings import describe_frfs
 from analysis.commands.presentation.mode_findings import describe_modes
 from analysis.commands.presentation.tables import modes_table
 from analysis.commands.report_page.charts import Chart, ChartWriter, Curve, EvenlySpaced, Panel, Strip
+from analysis.commands.report_page.decays import decay_charts
 from analysis.commands.report_page.drawing import mode_drawing, rig_drawing
 from analysis.commands.report_page.histories import time_histories
 from analysis.commands.report_page.levels import _highest_maximum, level_headline
@@ -657,6 +658,16 @@ def test_page_prints_to_pdf(page: Path, tmp_path: Path) -> None:
     browse(page, tmp_path, f"--print-to-pdf={tmp_path / 'page.pdf'}")
     pdf = (tmp_path / "page.pdf").read_bytes()
     assert pdf.startswith(b"%PDF") and pdf.count(b"/Type /Page\n") >= 4
+
+
+def test_decay_is_marked_at_the_stated_time(recordings: list[Path]) -> None:
+    with Measurements(recordings[1:]) as measurements:
+        decay = measurements.results[0].decay
+        chart = decay_charts(measurements.results, "")[0]
+    assert decay is not None
+    through, points, _, ring = chart.panels[0].curves
+    assert points.draw == "points" and points.x is through.x is decay.peak_time
+    assert (np.asarray(ring.x).tolist(), np.asarray(ring.y).tolist()) == ([decay.quiet_from], [decay.gravity])
 
 
 def test_stabilization_diagram_has_every_pole(recordings: list[Path]) -> None:

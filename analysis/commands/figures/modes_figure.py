@@ -8,7 +8,7 @@ import numpy as np
 from analysis.commands.figures.determined_lines import MAX_MARKED, determined_band, is_determined
 from analysis.commands.figures.frf_figure import intervals_text, unstated_tolerances
 from analysis.core.modal.mode_warnings import EXTRAPOLATED_TO, MAX_LINEAR_RESIDUAL, extrapolates_damping
-from analysis.core.modal.modes import Modes
+from analysis.core.modal.modes import MODE_WIDTH, Modes
 from rig.core.base.arrays import Array
 from rig.core.base.escaping import escape_figure
 from rig.core.base.figure_style import add_legend_below, add_title, frequency_axis, log_axis, new_figure
@@ -25,8 +25,6 @@ _FADED = 0.35
 _WIDEST_BAR = 3.0
 # A mode is poorly stabilized if its poles are stable at less than this fraction of the model orders.
 _MIN_STABLE = 0.25
-# A stable pole belongs to a mode if their frequencies differ by at most this fraction.
-_MODE_WIDTH = 0.05
 # Number of mode shapes side by side; with more, their titles would overlap.
 _MAX_COLUMNS = 5
 
@@ -93,7 +91,7 @@ def modes_figure(frfs: Sequence[Response], modes: Modes, title: str, remarks: Se
             row, column = divmod(i, columns)
             axes = figure.add_subplot(rows[2 + row, column])
             shape, expanded = bodies.shapes[:, i].real, expand(bodies.errors[:, i])
-            is_near = (abs(pole.frequency / modes.frequency[i] - 1.0) <= _MODE_WIDTH for pole in modes.chart)
+            is_near = (abs(pole.frequency / modes.frequency[i] - 1.0) <= MODE_WIDTH for pole in modes.chart)
             stable = {pole.order for pole, near in zip(modes.chart, is_near, strict=True) if pole.stable and near}
             is_poor = len(stable) < _MIN_STABLE * len(orders)
             opacity = 1.0 if is_known_shape(expanded) and not is_poor else _FADED

@@ -6,14 +6,18 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from analysis.commands.report_page.charts import Chart, Mark, Panel, needs_logarithmic_axis, symbol_curves
+from analysis.commands.report_page.charts import Chart, Curve, Mark, Panel, needs_logarithmic_axis
 from analysis.commands.report_page.measurements import Measurement
 from analysis.commands.report_page.responses import first_view
+from analysis.core.modal.modes import pole_kinds
 from rig.core.base.palette import BASELINE, CurveStyle
 
-_NEW_POLE = CurveStyle("#9aa2ab")
-# A stable pole belongs to a mode if their frequencies differ by at most this fraction.
-_MODE_WIDTH = 0.05
+# Symbols and colors of the kinds of poles.
+_POLE_STYLES = {
+    "new pole": ("crosses", "#9aa2ab"),
+    "stable": ("dots", BASELINE),
+    "stable, no mode": ("circles", BASELINE),
+}
 
 
 def stabilization_charts(measurements: Sequence[Measurement]) -> list[Chart]:
@@ -30,27 +34,13 @@ def stabilization_charts(measurements: Sequence[Measurement]) -> list[Chart]:
     view = first_view(band, np.concatenate([modes.frequency for _, modes in identified]))
     charts, stated = [], set[str]()
     for sweep, modes in identified:
-        poles = sorted(modes.chart, key=lambda pole: pole.frequency)
-        frequency, order, stable = np.array([(pole.frequency, pole.order, pole.stable) for pole in poles]).T
-        top = float(order.max())
+        top = float(max(pole.order for pole in modes.chart))
         ticks = np.arange(0.0, top + 1.0, 5.0).tolist()
-        is_near = (abs(frequency[:, None] / modes.frequency - 1.0) <= _MODE_WIDTH).any(axis=1)
         # Poles are symbols, not points of a series, because poles of several orders have the same frequency.
-        kinds = {
-            ("new", "crosses"): stable == 0,
-            ("stable", "dots"): (stable > 0) & is_near,
-            ("stable, no mode", "circles"): (stable > 0) & ~is_near,
-        }
-        styles = {"crosses": _NEW_POLE}
         curves = [
-            curve
-            for (name, draw), selected in kinds.items()
-            for curve in symbol_curves(
-                name,
-                styles.get(draw, CurveStyle(BASELINE)),
-                draw,
-                zip(frequency[selected], order[selected], strict=True),
-            )
+            Curve(kind, frequency, order, style=CurveStyle(color), draw=draw)
+            for kind, (frequency, order) in pole_kinds(modes).items()
+            for draw, color in [_POLE_STYLES[kind]]
         ]
         texts = {float(natural): modes.frequency_label(k) for k, natural in enumerate(modes.frequency)}
         texts |= {each.frequency: f"{each.frequency_label()}?" for each in modes.uncertain}

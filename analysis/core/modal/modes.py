@@ -34,8 +34,14 @@ from rig.core.results.uncertainty import expand
 MAX_RELATIVE_UNCERTAINTY = 1.0 / 3.0
 
 
-# Markers and colors of poles in the stabilization diagram: whether they are stable, and the text of the legend.
-_POLE_STYLES = ((False, "x", "#bbbbbb", "new pole"), (True, "o", "#333333", "stable"))
+#: A stable pole belongs to a mode if their frequencies differ by at most this fraction.
+MODE_WIDTH = 0.05
+# Markers of the kinds of poles in the stabilization diagram, with their colors and the colors inside.
+_POLE_STYLES = {
+    "new pole": ("x", "#bbbbbb", "#bbbbbb"),
+    "stable": ("o", "#333333", "#333333"),
+    "stable, no mode": ("o", "#333333", "none"),
+}
 
 
 class BodyShapes(NamedTuple):
@@ -240,10 +246,9 @@ class Modes(Result):
             import matplotlib.pyplot as plt
 
             ax = plt.subplots(layout="constrained")[1]
-        for stable, marker, color, text in _POLE_STYLES:
-            poles = np.array([(pole.frequency, pole.order) for pole in self.chart if pole.stable == stable])
-            frequency, order = poles.reshape(-1, 2).T
-            ax.plot(frequency, order, marker, ms=2.6, color=color, label=text, ls="")
+        for kind, poles in pole_kinds(self).items():
+            marker, color, inside = _POLE_STYLES[kind]
+            ax.plot(*poles, marker, ms=2.6, color=color, mfc=inside, label=kind, ls="")
         for natural in self.frequency:
             ax.axvline(natural, color="#777777", lw=0.7, ls=":", zorder=0)
         for number, mode in enumerate(self.uncertain):
@@ -251,7 +256,7 @@ class Modes(Result):
             ax.axvline(mode.frequency, color="#bb5500", lw=0.7, ls="--", zorder=0, label=name)
         ax.set(xlabel="frequency / Hz", ylabel="order")
         # The legend is above the axes because poles can lie anywhere inside.
-        ax.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, borderaxespad=0.0, borderpad=0.0)
+        ax.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=4, borderaxespad=0.0, borderpad=0.0)
         return ax
 
     @property
@@ -435,3 +440,12 @@ def _component_text(component: float, expanded: float) -> str:
     ('-0.310 ± 0.050', 'not determined')
     """
     return "not determined" if expanded >= 1.0 + abs(component) else format_interval(component, expanded)
+
+
+def pole_kinds(modes: Modes) -> dict[str, Array]:
+    """Return frequencies [Hz] and model orders of the poles in a stabilization diagram, shape (2, poles), by kind."""
+    poles = [(pole.frequency, pole.order, pole.stable) for pole in sorted(modes.chart, key=lambda pole: pole.frequency)]
+    frequency, order, stable = np.array(poles).reshape(-1, 3).T
+    is_near = (abs(frequency[:, None] / modes.frequency - 1.0) <= MODE_WIDTH).any(axis=1)
+    kinds = {"new pole": stable == 0, "stable": (stable > 0) & is_near, "stable, no mode": (stable > 0) & ~is_near}
+    return {kind: np.array([frequency[is_kind], order[is_kind]]) for kind, is_kind in kinds.items() if is_kind.any()}

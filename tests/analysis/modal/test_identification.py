@@ -173,9 +173,10 @@ def test_close_noisy_modes_lie_within_uncertainty():
 def test_stabilization_diagram_shows_poles_and_modes():
     _, frfs = two_modes(30.0, 0.2, 0.005, 250, noise=1e-3, seed=3)
     modes = analysis.identify(frfs)
-    new, stable, *lines = modes.plot_stabilization(Figure().subplots()).lines
-    assert len(new.get_xdata()) + len(stable.get_xdata()) == len(modes.chart)
-    np.testing.assert_allclose([line.get_xdata()[0] for line in lines], modes.frequency)
+    *kinds, first, second = modes.plot_stabilization(Figure().subplots()).lines
+    assert sum(len(kind.get_xdata()) for kind in kinds) == len(modes.chart)
+    np.testing.assert_allclose([line.get_xdata()[0] for line in (first, second)], modes.frequency)
+    stable = next(kind for kind in kinds if kind.get_label() == "stable")
     # Each mode is a column of stable poles.
     distance = abs(stable.get_xdata()[:, None] - modes.frequency)
     assert np.all(np.sum(distance < 0.005 * modes.frequency, axis=0) > 10)

@@ -6,9 +6,9 @@
   const DARK = { text: "#dfe4ea", grid: "#3d4752", page: "#14181d" };
   // Grays of undetermined curves and of the baseline of a comparison in the data, and on a dark page.
   const GRAYS = { "#9aa2ab": "#98a3af", "#404040": "#f2f4f7" };
-  const PRINT_WIDTH = 700; // px: the printable width of A4
+  const PRINT_WIDTH = 840; // px of the printable width of A4 (188 mm): labels of 12 px have 7.6 pt, less than titles
   // Printed height of a panel relative to its height on screen: two charts of a tall and three low panels fit on a page.
-  const printHeight = (panel) => panel.height * (panel.height < 220 ? 0.57 : 0.64);
+  const printHeight = (panel) => panel.height * (panel.height < 220 ? 0.76 : 0.77);
   const MIN_CONTRAST = 6; // of curves on a dark page: they are thinner than text, for which WCAG requires 4.5
   const MIN_DECADE = 120; // px: a shorter decade has no grid lines between its ends
   const MIN_LABEL = 14, MIN_LABEL_WIDTH = 34; // px between labels of a vertical and of a horizontal logarithmic axis

@@ -93,11 +93,13 @@ def frf_figure(
         if theory:
             magnitude_axes.plot([], [], color=_THEORY_COLOR, lw=0.9, ls=":", label=escape_figure(theory[0].label))
         marked_peaks = [peak_marks(measured, resonance_peaks(measured)) for measured in frfs]
-        heights = []
+        heights, edges = [], []
+        unit, factor = frfs[0].shown_in
         visible = marked_peaks if several else without_hidden_arrows(marked_peaks)
         has_hidden_arrows = visible != marked_peaks
         for row, (measured, curve_style, marked) in enumerate(zip(frfs, styles, marked_peaks, strict=True)):
-            _draw_curve(measured, curve_style, row, top, marked, magnitude_axes, phase_axes, coherence_axes)
+            drawn = _draw_curve(measured, curve_style, row, top, marked, magnitude_axes, phase_axes, coherence_axes)
+            edges.append(factor * _visible_edges(measured, drawn))
             heights += draw_marks(visible[row], measured.shown_in[1], curve_style.color, magnitude_axes)
         for frequency, text in marks:
             magnitude_axes.axvline(frequency, color="#777777", lw=0.8, ls=":")
@@ -105,13 +107,12 @@ def frf_figure(
                 text, (frequency, 1.0), xycoords=("data", "axes fraction"), xytext=(3, -3),
                 textcoords="offset points", va="top", fontsize=7.5, color="#555555",
             )  # fmt: skip
-        unit, factor = frfs[0].shown_in
         log_axis(
             magnitude_axes,
             [
                 *(factor * abs(frf.value) for frf in theory),
                 *(factor * abs(frf.value[is_determined(frf)]) for frf in frfs if is_determined(frf).any()),
-                *(factor * _visible_edges(frf) for frf in frfs),
+                *edges,
                 np.array([height for height, _ in heights]),
             ],
         )
@@ -192,11 +193,11 @@ def _draw_curve(
     magnitude_axes: Axes,
     phase_axes: Axes,
     coherence_axes: Axes,
-) -> None:
+) -> Array:
     """Draw one measured curve into the three panels: tones as points, with a thin curve where the points resolve it.
 
     `row`: position of the curve in the legend; `top`: upper end of the phase axis [degrees]; `marks`: marked peaks,
-    which the thin curve reaches.
+    which the thin curve reaches. Returns the magnitudes of the thin curve.
     """
     # A downward sweep has larger, open markers, so an upward sweep remains visible where both coincide.
     is_folded = folds_back(frf.frequency)
@@ -279,6 +280,7 @@ def _draw_curve(
         coherence_axes.plot(
             frf.frequency, np.where(is_known, frf.coherence, np.nan), color=color, ls=style.line, zorder=3
         )
+    return curve.magnitude
 
 
 def _isolated(curve: DrawnResponse) -> NDArray[np.bool_]:
@@ -350,8 +352,11 @@ def intervals_text(missing: Sequence[str]) -> str:
     return f"95 % intervals (without {unstated_text(missing)})" if missing else "95 % intervals"
 
 
-def _visible_edges(frf: Response) -> Array:
-    """Return the edges of the uncertainty band that the axis must include: at most a decade beyond the curve."""
+def _visible_edges(frf: Response, drawn: Array) -> Array:
+    """Return the magnitudes that the axis must include: a drawn curve and its band, a decade beyond the lines at most.
+
+    Between lines, the model of an antiresonance may approach zero.
+    """
     magnitude, total = abs(frf.value), np.nan_to_num(frf.expanded(), posinf=np.inf)
     visible = is_determined(frf) & np.isfinite(magnitude) & (magnitude > 0)
     if not visible.any():
@@ -360,7 +365,7 @@ def _visible_edges(frf: Response) -> Array:
     inside = magnitude[np.flatnonzero(visible)[0] : np.flatnonzero(visible)[-1]]
     magnitude, total = magnitude[visible], total[visible]
     upper = np.append(magnitude + total, np.nanmax(inside, initial=0.0))
-    edges = np.concatenate([np.minimum(upper, 10.0 * magnitude.max()), magnitude - total])
+    edges = np.concatenate([np.minimum(upper, 10.0 * magnitude.max()), magnitude - total, drawn])
     return np.asarray(edges[edges > 0.1 * magnitude.min()])
 
 

@@ -267,6 +267,14 @@ def test_axis_contains_wide_bounds():
     assert high >= 1.8 and low <= 0.2 and "sensors' sensitivity" in caption.replace("\n", " ")
 
 
+def test_axis_contains_antiresonance_between_points():
+    f = np.linspace(8.0, 60.0, 120)
+    value = 1.0 / (13.0**2 - f**2 + 0.03j * f) + 1.0 / (35.0**2 - f**2 + 0.03j * f)
+    axes = frf_figure([Response.curve(f, value, "body1")], "Compliance").axes[0]
+    drawn = np.concatenate([line.get_ydata() for line in axes.lines])
+    assert np.nanmin(drawn) < 0.5e6 * abs(value).min() and axes.get_ylim()[0] < np.nanmin(drawn)
+
+
 @pytest.mark.parametrize("limit", [2e-6, np.inf])
 def test_undetermined_curve_is_pale_without_band(limit):
     axes, caption = draw_curve(limit)

@@ -365,7 +365,7 @@ def _visible_edges(frf: Response, drawn: Array) -> Array:
     inside = magnitude[np.flatnonzero(visible)[0] : np.flatnonzero(visible)[-1]]
     magnitude, total = magnitude[visible], total[visible]
     upper = np.append(magnitude + total, np.nanmax(inside, initial=0.0))
-    edges = np.concatenate([np.minimum(upper, 10.0 * magnitude.max()), magnitude - total, drawn])
+    edges = np.concatenate([np.minimum(np.append(upper, drawn), 10.0 * magnitude.max()), magnitude - total])
     return np.asarray(edges[edges > 0.1 * magnitude.min()])
 
 

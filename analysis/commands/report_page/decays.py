@@ -50,7 +50,8 @@ def decay_charts(measurements: Sequence[Measurement], baseline_name: str) -> lis
             ],
             x_name="time",
             x_unit="s",
-            notes=["Labels: times from which every sample is below 1 g; thin lines only join the peaks."] * bool(marks),
+            notes=["Thin lines only join the peaks."]
+            + ["Labels: times from which every sample is below 1 g."] * bool(marks),
         )
     ]
     groups = group_modes([result for _, result in labeled_decays])

@@ -25,9 +25,8 @@ _WIDTH_ERRORS = (ALIASING, RESOLUTION, MODEL, REFERENCE_NOISE)
 _FLANK_HALF_WIDTHS = 10.0
 # Increase of a fitted half-width by a Hann window, in squared resolutions over the half-width.
 LEAKAGE_FACTOR = 0.16
-# Leakage only increases a half-width, and a random error may increase it further. The symmetric interval contains the
-# sum of both in 95 % of tests if the limit is this multiple of the increase: of 16 random tests, it contained the
-# damping ratio in all, and in 12 with a multiple of 1.
+# Leakage only increases a half-width, and a random error may increase it further. The symmetric interval shall contain
+# the sum of both: of 16 random tests, it contained the damping ratio in all, and in 12 with a multiple of 1.
 _LEAKAGE_MARGIN = 1.5
 # Leakage increases a half-width by at most this multiple of the resolution.
 _MAX_WIDENING = 0.5

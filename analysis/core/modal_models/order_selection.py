@@ -225,7 +225,8 @@ def computational_poles(curves: Curves, model: ModalModel) -> NDArray[np.intp]:
 
 def _shape_mac(curves: Curves, residue: ComplexArray) -> float:
     """Return the MAC of two shapes, shape (responses, 2), of responses that are divided by their largest magnitudes."""
-    first, second = (residue / abs(curves.value).max(axis=1)[:, None]).T
+    largest = np.maximum(abs(curves.value).max(axis=1), np.finfo(float).tiny)
+    first, second = (residue / largest[:, None]).T
     return float(abs(np.vdot(first, second)) ** 2 / (np.vdot(first, first) * np.vdot(second, second)).real)
 
 

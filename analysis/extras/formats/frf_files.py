@@ -52,6 +52,10 @@ _FREQUENCY_UNITS = {"hz": 1.0, "khz": 1e3, "rad/s": 0.5 / np.pi}
 _MAX_ROUNDING = 0.05
 # A DFT has at least this share of such steps. Tones at a constant ratio have a smaller share.
 _MIN_EVEN_SHARE = 0.8
+# A DFT has at least this share of its lines, where a gap counts as at most `_MAX_GAP` lines, such as between two bands.
+# Without every third line the share is 0.66. Rounded tones at a constant ratio have 0.59, and tones that are closer at
+# resonances have less.
+_MIN_PRESENT_SHARE, _MAX_GAP = 0.63, 10.0
 # Assumed noise bandwidth in lines: that of a Hann window, because files do not state the window.
 _HANN_BANDWIDTH_LINES = 1.5
 # Plausible range of the largest magnitude of a response, in SI units; both limits are far from any real structure.
@@ -462,16 +466,19 @@ def _curve(
 def _dft_spacing(frequency: Array) -> float:
     """Return the spacing of ascending lines of a DFT, some of which may be absent; 0 for other frequencies.
 
-    >>> _dft_spacing(np.array([0.33, 0.67, 1.0, 1.33, 2.0, 3.33, 3.67])), _dft_spacing(np.geomspace(1.0, 100.0, 50))
-    (0.335, 0.0)
+    >>> round(_dft_spacing(np.array([0.33, 0.67, 1.0, 1.33, 2.0, 2.33, 2.67])), 3)
+    0.334
+    >>> _dft_spacing(np.geomspace(1.0, 100.0, 50))
+    0.0
     """
     steps = np.diff(frequency)
     if not steps.size:
         return 0.0
     # Absent lines make some steps larger, so the spacing is one of the smaller steps.
     spacing = float(np.quantile(steps, 0.25))
-    deviation = abs(steps / spacing - np.maximum(np.round(steps / spacing), 1.0))
-    is_even = np.quantile(deviation, _MIN_EVEN_SHARE) < _MAX_ROUNDING
+    multiples = np.maximum(np.round(steps / spacing), 1.0)
+    is_even = np.quantile(abs(steps / spacing - multiples), _MIN_EVEN_SHARE) < _MAX_ROUNDING
+    is_even &= steps.size >= _MIN_PRESENT_SHARE * np.minimum(multiples, _MAX_GAP).sum()
     return float(steps[abs(steps - spacing) < _MAX_ROUNDING * spacing].mean()) if is_even else 0.0
 
 

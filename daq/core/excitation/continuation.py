@@ -378,9 +378,9 @@ class _Curve:
                 )
         return (
             f"the curve ends with {1e3 * last.motion:.3g} mm of {self._test.at} at {last.frequency:.4g} Hz: the next "
-            f"point did not reach steady state (relative standard deviation of force {tone.scatter:.1%}). The period "
-            "of the motion may have doubled, or the impacts in a period may have changed; increase "
-            "test.settle.longest, or reduce test.step"
+            f"point was not reached (relative standard deviation of force {1e2 * tone.scatter:.1f} %). The period of "
+            "the motion may have doubled, or the impacts in a period may have changed; increase test.settle.longest, "
+            "or reduce test.step"
         )
 
 

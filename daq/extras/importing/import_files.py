@@ -394,7 +394,7 @@ class _RecordingWriter:
             where = f"{name} ({signal.name!r} of {signal.file})"
             lost = merge_spans(lost_ranges)
             for first, stop in lost:
-                is_join = any(first <= start < stop for start, _ in signal.separators)
+                is_join = any(first <= start < min(end, stop) for start, end in signal.separators)
                 reason = BETWEEN_FILES if is_join else f"not in {signal.file}"
                 recorder.mark("lost", first, stop - 1, channels=[name], reason=reason)
             separating = sum(min(stop, signal.samples) - first for first, stop in signal.separators)

@@ -207,8 +207,16 @@ def test_absent_lines_do_not_change_resolution(absent, cell, tmp_path):
     assert analysis.read_frfs(tmp_path / "a.csv")["tip"].resolution == pytest.approx(0.5, rel=0.02)
 
 
-def test_tones_at_constant_ratio_have_no_resolution(tmp_path):
-    rows = [f"{f:.6g},{f},1" for f in np.geomspace(10.0, 20.0, 60)]
+@pytest.mark.parametrize(
+    "tones",
+    [
+        np.geomspace(10.0, 20.0, 60),
+        np.geomspace(10.0, 20.0, 60).round(1),
+        np.union1d(np.arange(80, 600, 5), np.r_[150:180, 320:350]) / 10.0,
+    ],
+)
+def test_uneven_tones_have_no_resolution(tones, tmp_path):
+    rows = [f"{f:.6g},{f},1" for f in np.unique(tones)]
     (tmp_path / "a.csv").write_text("\n".join(["f [Hz],tip re [m/N],tip im [m/N]", *rows]))
     assert analysis.read_frfs(tmp_path / "a.csv")["tip"].resolution == 0.0
 

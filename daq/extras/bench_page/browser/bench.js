@@ -93,7 +93,7 @@ function panels(kind, x, values, log) {
     for (const limit of new Set(over.map((row) => factor * channels[row].limit))) {
       for (const y of [-limit, limit]) curves.push({ x: [x[0], x[x.length - 1]], y: Float32Array.of(y, y), color: AMBER, width: 1.2, dash: [5, 4] });
     }
-    // Idle noise must not fill an axis, whose end is at least 80 dB below the full scale of a channel.
+    // Idle noise must not fill an axis: its end is at least 1e-4 of the full scale of a channel (-80 dB).
     const idle = roundUp(Math.max(smallest, ...rows.map((row) => 1e-4 * factor * (channels[row].limit ?? 0))));
     const panel = { name, log, smallest: idle, share: rows.length > 1 ? 2 : 1, curves };
     const [low, high] = limits(panel);

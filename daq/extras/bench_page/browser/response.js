@@ -19,7 +19,7 @@ const response = {
     $("frf").addEventListener("click", (event) => {
       const frequency = this.nearest(this.chart.value(event.offsetX));
       if (IS_TOUCH) this.cursors = [...this.cursors, frequency].slice(-2);
-      else this.cursors[event.shiftKey ? 1 : 0] = frequency;
+      else (this.cursors = [...this.chart.cursors])[event.shiftKey ? 1 : 0] = frequency;
       this.draw();
     });
     $("frf").addEventListener("dblclick", () => { this.cursors = []; this.draw(); });
@@ -29,8 +29,12 @@ const response = {
 
   // Process a message. When a test begins, the curves of the previous test become the curves of the last test.
   update({ response: head, arrays, state }) {
-    if (!head) return;
+    const ends = this.isGrowing && !state.running;
     this.isGrowing = state.running;
+    if (!head) {
+      if (ends) this.draw();
+      return;
+    }
     if (this.curves && this.curves.test !== head.test) [this.previous, this.curves, this.cursors] = [this.curves, null, []];
     this.head = head;
     if (arrays.frequency) {

@@ -38,8 +38,8 @@ from rig.core.system.structural_model import structural_model
 _FREQUENCY_DEVIATION_RATIO = 2.0
 # Largest quadrature part of other modes, in their in-phase part times the resonant mode's damping ratio.
 _MAX_QUADRATURE_PER_DAMPING = 10.0
-# Largest power that other modes dissipate, relative to that of the resonant mode with the same motion. It is at most 1
-# with damping by mass or stiffness, beside the quadrature part; 2 allows for damping ratios that differ from these.
+# Largest power that other modes dissipate, relative to that of the resonant mode with the same motion. Apart from
+# their quadrature part, it is at most 1 for damping proportional to mass or stiffness, and 2 allows for other damping.
 _MAX_DISSIPATION_RATIO = 2.0
 # Quantities of the mode at a level without a mode near phase resonance.
 _NO_MODE = dict.fromkeys(("natural_frequency", "natural_frequency_expanded", "damping", "damping_expanded"), np.nan)

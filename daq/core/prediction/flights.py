@@ -18,7 +18,6 @@ from rig.core.base.errors import SceneError
 from rig.core.numerics.runs import runs_of
 from rig.core.results import format_frequencies, format_number
 from rig.core.scene.excitation import Test
-from rig.core.scene.excitation.stepped_sine import SteppedTest
 from rig.core.scene.scene import Scene
 from rig.core.system.hybrid_system import Element, HybridSystem
 from rig.core.system.open_loop_drive import loadings_per_level
@@ -80,7 +79,7 @@ def flight_lines(scene: Scene, system: HybridSystem, level: float, rehearsals: S
             if is_transient.any():
                 tones = format_frequencies(frequencies.tolist(), is_transient.tolist())
                 phrases.append(f"only before the steady state at {tones}")
-            if grid.size and isinstance(test, SteppedTest):
+            if grid.size and test is not None:
                 is_between = _without_points(grid_loadings[row] > 1.0, np.isin(grid, frequencies))
                 if bands := runs_of(is_between):
                     phrases.append(f"between points at {format_frequencies(grid.tolist(), is_between.tolist())}")
@@ -129,8 +128,8 @@ def _actions_at(
 
 
 def _grid_between(test: Test | None, tones: Array) -> Array:
-    """Return the tones of a stepped sine and frequencies between them, ascending [Hz]; empty for other tests."""
-    if not isinstance(test, SteppedTest) or tones.size < 2:
+    """Return the tones of a test with dwells and frequencies between them, ascending [Hz]; empty for other tests."""
+    if test is None or not test.dwells or tones.size < 2:
         return tones[:0]
     points = min(_MAX_GRID_POINTS, math.ceil(math.log(tones[-1] / tones[0]) / _GRID_STEP))
     return np.union1d(tones, np.geomspace(tones[0], tones[-1], points))

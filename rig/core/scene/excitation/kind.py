@@ -5,7 +5,7 @@ kind.
 """
 
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import pairwise
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self
 
@@ -210,6 +210,11 @@ class KindOfTest(Settings):
     def dwells(self) -> tuple[float, ...]:
         """Frequencies of the tones that are held until steady state, in the order of one level [Hz]."""
         return ()
+
+    def remedy_between(self, bands: Sequence[tuple[float, float]]) -> str:
+        """Return the instruction to measure in bands (lowest and highest frequency, Hz) between two `dwells`."""
+        ranges = " and ".join(f"{low:.6g} to {high:.6g} Hz" for low, high in bands)
+        return f"Measure {ranges} in a separate test."
 
     @property
     def sweep_direction(self) -> Literal["up", "down", "both"]:

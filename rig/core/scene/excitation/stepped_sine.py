@@ -104,8 +104,7 @@ class SteppedTest(KindOfTest):
         points = 1 + math.ceil(_POINTS_PER_BAND * (coordinate(highest) - coordinate(lowest)) / narrowest)
         if points <= min(_MAX_DENSITY * len(self.order), MAX_STEPS):
             return f"Set test.points: {points} for {_POINTS_PER_BAND} points there."
-        ranges = " and ".join(f"{low:.6g} to {high:.6g} Hz" for low, high in bands)
-        return f"Measure {ranges} in a separate test."
+        return super().remedy_between(bands)
 
     @property
     def details(self) -> tuple[str, ...]:

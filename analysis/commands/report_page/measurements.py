@@ -28,7 +28,7 @@ from analysis.core.modal.identification import identify
 from analysis.core.modal.mode_warnings import extrapolates_damping
 from analysis.core.modal.modes import Modes, mac
 from analysis.core.recordings.names import OpenRecordings, baseline_label, relabel, scene_labels, sweep_name
-from analysis.core.responses.errors.systematic import clock_deviation, tolerance
+from analysis.core.responses.errors.systematic import clock_deviation, stated_tolerance
 from analysis.core.responses.frequency_responses import frequency_responses
 from analysis.core.responses.measurands import response_channels
 from analysis.core.signals.profile_check import ProfileCheck, profile
@@ -288,7 +288,7 @@ def missing_tolerances(measurements: Sequence[Measurement]) -> list[str]:
     """Return the causes of errors that results lack: no tolerance of a sensor or sample clock is stated."""
     missing = unstated_tolerances([frf for each in measurements for sweep in each.sweeps for frf in sweep.frfs])
     for rec in (each.rec for each in measurements if not each.sweeps):
-        is_stated = all(tolerance(info) for info in rec.channels.values() if info.quantity != "voltage")
+        is_stated = all(stated_tolerance(info) for info in rec.channels.values() if info.quantity != "voltage")
         missing += ["calibration"] * (not is_stated) + ["the sample clock"] * (not clock_deviation(rec))
     return sorted(set(missing))
 

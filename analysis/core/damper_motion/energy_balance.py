@@ -113,7 +113,7 @@ def _expanded(
         gain_sensitivity.append(product.real.sum(axis=1))
         phase_sensitivity.append(abs(product).sum(axis=1))
         fundamental_sensitivity.append(2.0 * abs(gradient[:, 0]))
-    tolerances = np.array([tolerance(rec.channels[name]) for name in lines.channels])
+    tolerances = np.array([tolerance(rec, name) for name in lines.channels])
     limits = list(abs(np.transpose(gain_sensitivity)) * (tolerances / np.maximum(1.0 - tolerances, 1e-300))[:, None])
     _, aliased = aliased_ratios(
         rec,

@@ -79,7 +79,7 @@ class BodyMotion:
     @property
     def tolerance(self) -> float:
         """Relative tolerance of the channel's sensitivity."""
-        return tolerance(self.info)
+        return tolerance(self.rec, self.info.name)
 
     def contact_at(self, time: float, wall: float, added_speed: float) -> "_WallContact":
         """Return position and speed of a wall at a time [s].

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from analysis.core.recordings.names import sweep_name
-from analysis.core.responses.errors.systematic import IRREGULAR, REFERENCE_NOISE, tolerance_or_assumption
+from analysis.core.responses.errors.systematic import IRREGULAR, REFERENCE_NOISE, tolerance
 from analysis.core.responses.frequency_responses import frequency_responses
 from analysis.core.responses.measurands import (
     default_reference,
@@ -228,4 +228,4 @@ def inverse_root(covariance: ComplexArray) -> ComplexArray:
 
 def _sensor(rec: Recording, name: str) -> Sensor:
     info = rec.channels[name]
-    return Sensor(name, info.at, rec.scene.seed, tolerance_or_assumption(rec, name))
+    return Sensor(name, info.at, rec.scene.seed, tolerance(rec, name))

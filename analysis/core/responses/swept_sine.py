@@ -19,6 +19,7 @@ from analysis.core.responses.checks.tone_steps import ToneInterval
 from analysis.core.responses.errors.systematic import (
     UNSETTLED,
     power_in_counts,
+    relative_to_reading,
     reproducible_rounding,
     tolerance,
     tone_gain_error,
@@ -207,15 +208,15 @@ def _line(block: Array, frequency: float, rate: float, direction: int) -> _Line:
 def _dampers_on_floor(rec: Recording, names: Sequence[str], frequency: Array, variances: Array) -> NDArray[np.bool_]:
     """Return, for each frequency, whether all dampers stay on their floors, from the variances of motion channels."""
     on_floor = np.full(frequency.size, not rec.scene.joints)  # a stop may act at any acceleration
-    infos = [rec.channels[name] for name in names]
     for damper in rec.scene.dampers:
         largest = np.full(frequency.size, np.inf)
-        for info, variance in zip(infos, variances, strict=True):
+        for name, variance in zip(names, variances, strict=True):
+            info = rec.channels[name]
             if info.at != f"body {damper.body}" or info.quantity not in MOTIONS:
                 continue
             order = 2 - MOTIONS.index(info.quantity)
             acceleration = (2.0 * variance) ** 0.5 / abs(info.response(frequency)) * (2 * np.pi * frequency) ** order
-            largest = np.minimum(largest, acceleration * (1.0 + tolerance(info)))
+            largest = np.minimum(largest, acceleration * (1.0 + relative_to_reading(np.array(tolerance(rec, name)))))
         rests = damper.spring is None  # a mass on a spring may hit its walls at any acceleration
         limit = rec.scene.gravity * (1.0 if damper.friction is None else damper.friction)
         on_floor &= (not damper.impacts) | (rests & (largest < _MAX_FLOOR_ACCELERATION * limit))

@@ -8,7 +8,7 @@ import rig
 from analysis.core.damper_motion.impact_detection import detect_impacts
 from analysis.core.damper_motion.landing_pulse import landing_pulse
 from analysis.core.damper_motion.matching_pursuit import DETECTION_MARGIN_SIGMAS, DETECTION_SIGMAS
-from analysis.core.responses.errors.systematic import tolerance
+from analysis.core.responses.errors.systematic import stated_tolerance
 from daq.core.recording.markers import Marker
 from daq.core.signal_chain.channel import ChannelInfo
 from rig.core.base.errors import RecordingError
@@ -261,7 +261,7 @@ def test_finite_duration_impacts_lie_within_errors(tmp_path, chain, converter, d
         detected = detect_impacts(rec, "body2", window.first_sample, window.stop)
         touches = rec.events[rec.events["kind"] == "touch"]
         gap = rec.truth("gap")[0, (touches["time"] * rec.rate).astype(int)]
-        sensitivity_tolerance = tolerance(rec.channels["body2"])
+        sensitivity_tolerance = stated_tolerance(rec.channels["body2"])
         pulse_restitution = landing_pulse(rec.scene, "body 2", rec.rate).restitution
     assert detected.contact_duration == pytest.approx(duration)
     # Below half the clearance the damper touches the floor. The damper has 6 % of the mass of its body.

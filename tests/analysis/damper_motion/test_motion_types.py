@@ -23,6 +23,7 @@ from analysis.core.damper_motion.energy_balance import energy_per_period, impact
 from analysis.core.damper_motion.free_flight import BodyMotion, restitution
 from analysis.core.damper_motion.motion_types import DamperMotion, damper_motion
 from analysis.core.responses.checks.curve_checks import find_jumps
+from analysis.core.responses.errors.systematic import ASSUMED_TOLERANCE
 from analysis.core.responses.stepped_sine import sweeps
 from daq.core.signal_chain.channel import ChannelInfo
 from rig.core.base.errors import RecordingError
@@ -85,6 +86,18 @@ def test_sensor_tolerances_bound_energy_balance(tmp_path, monkeypatch):
             errors.append(abs(energy_per_period(rec, replace(sweep, tones=tones)).dampers))
         inside = np.mean(errors <= energy_per_period(rec, sweep).expanded, axis=0)
     assert np.all((inside > 0.93) & (inside < 0.99))
+
+
+def test_imported_sensors_widen_energy_and_motion(tmp_path, monkeypatch):
+    path = synthetic.stepped_sine(tmp_path / "a.mcap", [12.0, 13.04, 20.0])
+    expanded, tolerances = [], []
+    for source in ("", "another instrument"):
+        monkeypatch.setattr(daq.Recording, "source", source)
+        with daq.open(path) as rec:
+            [sweep] = sweeps(rec)
+            expanded.append(energy_per_period(rec, sweep).expanded)
+            tolerances.append(BodyMotion(rec, "body1", 0, 100).tolerance)
+    assert np.all(expanded[1] > expanded[0]) and tolerances == [0.0, ASSUMED_TOLERANCE]
 
 
 def test_missing_channel_is_named(tmp_path):

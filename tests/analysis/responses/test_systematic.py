@@ -19,7 +19,7 @@ from analysis.core.responses.errors.systematic import (
     rounding_limit,
     sensitivity_limit,
     shared_noise_limit,
-    tolerance,
+    stated_tolerance,
     tone_gain_error,
     uncertain_reference_limit,
 )
@@ -60,8 +60,8 @@ def test_data_sheet_tolerances_are_summed():
         "accelerometer.transverse": "0.04",
         "accelerometer.lateral": "0.5",
     }
-    assert tolerance(channel(sensor=sheet)) == pytest.approx(0.05 + 0.002 * 10 + 0.04 * 0.5)
-    assert tolerance(channel()) == 0.0
+    assert stated_tolerance(channel(sensor=sheet)) == pytest.approx(0.05 + 0.002 * 10 + 0.04 * 0.5)
+    assert stated_tolerance(channel()) == 0.0
 
 
 def contributions_of(value, response, reference, frequency=None, motion="acceleration", names="ab"):

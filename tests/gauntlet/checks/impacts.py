@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.core.damper_motion.impact_detection import Impacts, detect_impacts
-from analysis.core.responses.errors.systematic import tolerance
+from analysis.core.responses.errors.systematic import stated_tolerance
 from rig.core.base.arrays import Array
 from rig.core.system.assembly import assemble
 from tests.gauntlet.finite_contact import TONE_FINITE_CONTACT
@@ -89,7 +89,7 @@ def _agrees_within_errors(detected, matched, time, jump, info):
     """
     nearest = np.abs(time - detected.time[matched, None]).argmin(axis=1)
     time_bound = MAX_ERROR_SIGMAS * detected.time_std[matched]
-    jump_bound = MAX_ERROR_SIGMAS * detected.jump_std[matched] + tolerance(info) * abs(detected.jump[matched])
+    jump_bound = MAX_ERROR_SIGMAS * detected.jump_std[matched] + stated_tolerance(info) * abs(detected.jump[matched])
     time_error, jump_error = detected.time[matched] - time[nearest], detected.jump[matched] - jump[nearest]
     return (abs(time_error) < time_bound) & (abs(jump_error) < jump_bound)
 

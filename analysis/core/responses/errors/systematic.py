@@ -63,21 +63,21 @@ class ChannelContributions:
         return self.response - self.value * self.reference
 
 
-def tolerance(info: ChannelInfo) -> float:
+def stated_tolerance(info: ChannelInfo) -> float:
     """Compute the maximum relative error of a channel's sensitivity according to its data sheet.
 
-    The tolerance is the sum of calibration tolerance, temperature drift and transverse sensitivity.
+    This is the sum of calibration tolerance, temperature drift and transverse sensitivity.
 
     >>> from daq.core.signal_chain.channel import ChannelInfo
     >>> sheet = {"accelerometer.sensitivity_tolerance": "0.1", "accelerometer.transverse": "0.05"}
-    >>> round(tolerance(ChannelInfo("a1", "body 1", "acceleration", 1.0, 5120.0, sensor=sheet)), 6)
+    >>> round(stated_tolerance(ChannelInfo("a1", "body 1", "acceleration", 1.0, 5120.0, sensor=sheet)), 6)
     0.105
     """
     return _setting(info, "sensitivity_tolerance", RATIO) + sum(side_errors(info).values())
 
 
 def side_errors(info: ChannelInfo) -> dict[str, float]:
-    """Return the relative errors in a channel's `tolerance`, by cause, that a calibration does not contain."""
+    """Return the relative errors in a channel's `stated_tolerance`, by cause, that a calibration does not contain."""
     errors = {
         "temperature": _setting(info, "temperature_drift", PER_KELVIN)
         * _setting(info, "temperature_change", TEMPERATURE),
@@ -91,22 +91,22 @@ def _setting(info: ChannelInfo, name: str, kind: Kind, default: float = 0.0) -> 
     return next((abs(parse(text, kind)) for key, text in info.sensor.items() if key.endswith("." + name)), default)
 
 
-def tolerance_or_assumption(rec: Recording, name: str) -> float:
-    """Return the `tolerance` of a channel, or an assumed value for a sensor of another instrument that states none."""
+def tolerance(rec: Recording, name: str) -> float:
+    """Return a channel's `stated_tolerance`, or `ASSUMED_TOLERANCE` more if another instrument's sensor states none."""
     info = rec.channels[name]
     is_stated = any(key.endswith(".sensitivity_tolerance") for key in info.sensor) or info.quantity == "voltage"
-    return tolerance(info) + (0.0 if is_stated or not rec.source else ASSUMED_TOLERANCE)
+    return stated_tolerance(info) + (0.0 if is_stated or not rec.source else ASSUMED_TOLERANCE)
 
 
 def sensitivity_limit(rec: Recording, contributions: ChannelContributions) -> dict[str, Array]:
     """Compute the maximum error of a response due to the tolerances of its channels; empty without tolerances."""
-    gain = np.array([[tolerance_or_assumption(rec, name)] for name in contributions.names])
+    gain = np.array([[tolerance(rec, name)] for name in contributions.names])
     return {SENSITIVITY: gain_error_limit(gain, relative_to_reading(gain), contributions)} if gain.any() else {}
 
 
 def sensor_sources(rec: Recording, contributions: ChannelContributions) -> dict[str, Sources]:
     """Return the change of a response by each sensor at its tolerance, to first order; empty without tolerances."""
-    limits = {name: tolerance_or_assumption(rec, name) for name in contributions.names}
+    limits = {name: tolerance(rec, name) for name in contributions.names}
     sources = {
         _identity(rec, rec.channels[name].to_metadata()): limit * change
         for (name, limit), change in zip(limits.items(), contributions.gain_sensitivity, strict=True)
@@ -123,7 +123,7 @@ def _identity(rec: Recording, device: object) -> str:
 def common_scale(rec: Recording, outputs: Sequence[str], references: Sequence[str]) -> float:
     """Return the maximum relative error of a single reference channel, common to all responses; 0 for several."""
     is_common = len(references) == 1 and references[0] not in outputs
-    return tolerance_or_assumption(rec, references[0]) if is_common else 0.0
+    return tolerance(rec, references[0]) if is_common else 0.0
 
 
 def relative_to_reading(error: Array) -> Array:

@@ -118,7 +118,7 @@ def _draw_damping(
                 [value + sign * each for value, each in zip(values, half_bands, strict=True) for sign in (-1, 1)]
             )
             included_edges = edges[(edges > 0.1 * low) & (edges < 10.0 * high)]
-            low, high = min(low, *included_edges) / 1.3, max(high, *included_edges) * 1.3
+            low, high = min([low, *included_edges]) / 1.3, max([high, *included_edges]) * 1.3
             set_log_scale(first.yaxis, 6)
             first.set_ylim(low, high)
 

@@ -10,7 +10,13 @@ from typing import Any
 import numpy as np
 import scipy
 
-from analysis.core.decays.modal_decay import ModalDecay, band_width, modal_decay, spectral_peaks
+from analysis.core.decays.modal_decay import (
+    ModalDecay,
+    band_width,
+    modal_decay,
+    resolve_close_modes,
+    spectral_peaks,
+)
 from analysis.core.decays.sensor_correction import correct_motion
 from analysis.core.recordings.channel_delay import arrival
 from analysis.core.recordings.names import takes_path
@@ -216,10 +222,18 @@ def decay(rec: Recording, channel: str | None = None, impact: int = 1, modes: in
     highest_mode = min(highest_mode, upper_limit)
     peak_frequencies = spectral_peaks(acceleration[begin:], rec.rate, max_modes, lowest_mode, highest_mode)
     clock = clock_deviation(rec)
+    frequencies = resolve_close_modes(acceleration, rec.rate, peak_frequencies, begin)
     decays = tuple(
-        modal_decay(acceleration, rec.rate, float(f), band_width(peak_frequencies, i), begin, clock=clock)
-        for i, f in enumerate(peak_frequencies)
+        modal_decay(acceleration, rec.rate, float(f), band_width(frequencies, i), begin, clock=clock)
+        for i, f in enumerate(frequencies)
     )
+    close = [each for each in decays if each.center not in peak_frequencies and not each.damping.size]
+    if close:
+        listed = ", ".join(f"{each.center:.4g}" for each in close)
+        warnings.append(
+            f"The modes at {listed} Hz are too close to other modes: their envelopes in {info.name} cannot be "
+            "separated within the record. `analysis modes` determines their damping."
+        )
     if max_modes is not None and len(decays) < max_modes:
         warnings.append(
             f"Only {len(decays)} of {max_modes} modes have a peak in the decay of {info.name} between "

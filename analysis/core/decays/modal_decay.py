@@ -7,6 +7,7 @@ import numpy as np
 import scipy
 from scipy import fft
 
+from analysis.core.decays.close_modes import close_modes
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.figure_types import Axes
 from rig.core.base.renamed import renamed
@@ -161,6 +162,25 @@ def spectral_peaks(acceleration: Array, rate: float, max_peaks: int | None, low:
     left, mid, right = magnitude_db[indices - 1], magnitude_db[indices], magnitude_db[indices + 1]
     shift = 0.5 * (left - right) / (left - 2.0 * mid + right)
     return frequency[indices] + shift * (frequency[1] - frequency[0])
+
+
+def resolve_close_modes(acceleration: Array, rate: float, frequencies: Array, begin: int) -> Array:
+    """Replace each peak that consists of several linear modes by their frequencies [Hz].
+
+    `acceleration`, m/s², from before the impact; `frequencies`: peaks of the spectrum, ascending; `begin`: sample at
+    which the free decay begins.
+    """
+    resolved: list[float] = []
+    for index, frequency in enumerate(frequencies):
+        width = band_width(frequencies, index)
+        analytic, affected = _band_pass(acceleration, rate, frequency, width)
+        step = max(1, int(rate / (8.0 * width)))
+        # The transients of the band-pass decay below 1e-7 within twice the affected samples.
+        decay = analytic[begin + 2 * affected : max(acceleration.size - 2 * affected, 0)][::step]
+        baseband = decay * np.exp(-2j * np.pi * frequency * step / rate * np.arange(decay.size))
+        offsets = close_modes(baseband, step / rate, 2.0 * width)
+        resolved += (frequency + offsets).tolist() or [float(frequency)]
+    return np.array(resolved)
 
 
 def band_width(frequencies: Array, index: int) -> float:

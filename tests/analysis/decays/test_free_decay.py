@@ -10,11 +10,12 @@ import analysis
 import daq
 import rig
 from analysis.commands.cli import app
-from analysis.core.decays.modal_decay import band_width, modal_decay, spectral_peaks
+from analysis.core.decays.modal_decay import band_width, modal_decay, resolve_close_modes, spectral_peaks
 from analysis.core.decays.sensor_correction import correct_motion
 from analysis.core.recordings.slices import impact_ranges
 from daq.core.signal_chain.channel import ChannelInfo
 from rig.core.base.errors import RecordingError, RunWarning, SceneError
+from rig.core.system.structural_model import structural_model
 from tests.analysis.responses import synthetic
 
 MODAL_DAMPING = 0.005  # damping ratio of each mode of the synthetic structure and of `STIFF_BODY`
@@ -61,6 +62,50 @@ def test_linear_decay_frequencies_lie_within_bounds():
     assert np.mean(np.abs(normalized_errors) < 2.0) > 0.95 and np.max(np.abs(normalized_errors)) < 4.0
     # The error of the frequency of the spectral peak is more than ten times this error.
     assert np.median(peak_error_ratios) > 10.0
+
+
+CLOSE_MODES = """
+structure:
+  matrices:
+    mass: [[3, 0], [0, 3.02]]
+    stiffness: [[{diagonal}, -{coupling}], [-{coupling}, {diagonal}]]
+    damping: [[4, -0.3], [-0.3, 5]]
+test: {{kind: impulse, body: 1, peak: 120 N, width: 3 ms, repeats: 1, interval: 8 s}}
+channels:
+- {{name: h, at: hammer, hammer: {{sensitivity: 10 mV/N}}}}
+- {{name: a1, at: body 1, accelerometer: {{sensitivity: 100 mV/g}}}}
+converter: {{rate: 2 kHz, bits: 24, range: 10 V}}
+"""
+
+
+@pytest.mark.parametrize(("coupling", "is_determined"), [(600, False), (1200, False), (3000, True), (12000, True)])
+def test_close_modes_are_separated_or_undetermined(tmp_path, coupling, is_determined):
+    """At a coupling of 600 N/m, the modes are closer than their half-power width."""
+    scene = rig.loads(CLOSE_MODES.format(diagonal=120000 + coupling, coupling=coupling), where="a test")
+    decay = analysis.decay(daq.record(scene, tmp_path / "a.mcap"), "a1")
+    model = structural_model(scene)
+    blocks = [[np.zeros((2, 2)), np.eye(2)], [-model.stiffness, -model.damping]]
+    poles = np.linalg.eigvals(np.block([blocks[0], list(np.linalg.solve(model.mass, blocks[1]))]))
+    poles = poles[np.argsort(poles.imag)][2:]
+    frequencies, ratios = abs(poles) / (2.0 * np.pi), -poles.real / abs(poles)
+    assert [mode.center for mode in decay.modes] == pytest.approx(frequencies, rel=1e-4)
+    for mode, frequency, damping in zip(decay.modes, frequencies, ratios, strict=True):
+        assert (mode.damping.size > 0) == is_determined
+        assert not is_determined or abs(mode.frequency - frequency) < 3.0 * mode.frequency_std
+        assert np.all(abs(mode.damping - damping) < 3.0 * mode.damping_std)
+    assert sum("`analysis modes`" in text for text in decay.warnings) == (not is_determined)
+
+
+@pytest.mark.parametrize("noise", [1e-4, 1e-3, 1e-2])
+def test_single_modes_are_not_split(noise):
+    rng, rate, begin = np.random.default_rng(8), 1280.0, 640
+    time = np.arange(6 * int(rate)) / rate
+    for _ in range(20):
+        frequency, ratio = rng.uniform(12.0, 120.0), np.exp(rng.uniform(np.log(0.002), np.log(0.03)))
+        decay = np.exp((-ratio + 1j) * 2 * np.pi * frequency * time).real
+        signal = np.append(np.zeros(begin), decay) + noise * rng.standard_normal(begin + decay.size)
+        [resolved] = resolve_close_modes(signal, rate, spectral_peaks(signal[begin:], rate, 1, 2.0, 200.0), begin)
+        assert resolved == pytest.approx(frequency, rel=0.02)
 
 
 def test_clock_error_is_in_frequency_bound(tmp_path):

@@ -528,6 +528,14 @@ def test_damping_that_may_be_zero_is_a_limit(folder):
     assert limit.get_ydata().tolist() == [pytest.approx(sum(uncertain.percent)[0])]
 
 
+def test_decay_of_undetermined_damping_is_drawn(folder):
+    with daq.open(folder / "hit.mcap") as rec:
+        decay = analysis.decay(rec)
+    uncertain = [replace(mode, damping_std=1e3 * mode.damping) for mode in decay.modes]
+    low, high = decay_figure([replace(decay, modes=tuple(uncertain))], "Free decay").axes[2].get_ylim()
+    assert 0.0 < low < high
+
+
 def test_axis_of_constant_damping_has_distinct_labels(folder):
     with daq.open(folder / "hit.mcap") as rec:
         figure = decay_figure([analysis.decay(rec)], "Free decay")

@@ -56,7 +56,8 @@ LIFTED = (
 _CREST_FACTOR = 4.0
 # A structure is nonlinear if at least this share of the lines is distorted.
 _MIN_DISTORTED_LINES = 0.2
-# Smallest ratio of a distorted line's scatter over realizations to that of noise, beyond chance.
+# Smallest ratio of a distorted line's scatter over realizations to that of noise, transients and rounding, beyond
+# chance: rounding of few counts exceeds its estimate, which assumes many counts, at 20 % of the lines.
 _NOISE_RATIO = 3.0
 # At a distorted line, the scatter of realizations is at least this fraction of the mean.
 _MEAN_RATIO = 2e-3
@@ -265,7 +266,7 @@ def _is_distorted(measured: Lines, noise: Lines) -> bool:
     """Return whether realizations scatter more than expected from noise, residual transients and rounding."""
     scatter, expected = (np.linalg.norm(lines.scatter.rows, axis=0) for lines in (measured, noise))
     bounds = [bound for bound in (measured.residual_transient, measured.resolution) if bound is not None]
-    distorted = scatter > _NOISE_RATIO * expected + np.sum(bounds, axis=0)
+    distorted = scatter > _NOISE_RATIO * (expected + np.sum(bounds, axis=0))
     distorted &= scatter > _MEAN_RATIO * abs(measured.mean)
     return bool(np.max(distorted.mean(axis=1)) > _MIN_DISTORTED_LINES)
 

@@ -13,7 +13,7 @@ import rig
 from analysis.core.responses.estimator import Blocks, Request
 from analysis.core.responses.estimators import estimate
 from analysis.core.responses.measurands import motion_of, reference_of
-from analysis.core.responses.multisine import LIFTED, best_linear_approximation
+from analysis.core.responses.multisine import LIFTED, NONLINEAR, best_linear_approximation
 from rig.core.base.errors import RecordingError, SceneError
 from rig.core.system.structural_model import receptance
 from tests.analysis.responses import synthetic
@@ -179,6 +179,27 @@ def test_linear_structure_shows_no_distortion(multisine_file):
         noise_alone = replace(approximation, scatter=approximation.noise, noise=None)
         noise, total = (np.median(each.frf(rec, *body_and_force).error) for each in (noise_alone, approximation))
     assert 0.7 < total / noise < 1.3
+
+
+def test_rounding_is_not_called_nonlinear(tmp_path):
+    """The signals have few counts and little noise, so their rounding repeats in each period of a realization."""
+    scene = rig.loads(
+        """
+        structure:
+          masses: [12 kg, 5 kg, 0.8 kg]
+          springs: [300 kN/m, 60 kN/m, 3.5 kN/m]
+          damping: {dashpots: [30 N s/m, 15 N s/m, 0.5 N s/m]}
+        shaker: {kind: base}
+        test: {kind: multisine, from: 3 Hz, to: 40 Hz, period: 8 s, periods: 4, realisations: 2, drive: 0.5 m/s^2}
+        channels:
+        - {name: table, at: table, accelerometer: {sensitivity: 10 mV/(m/s^2)}}
+        - {name: a1, at: body 1, accelerometer: {sensitivity: 100 mV/g}}
+        - {name: a3, at: body 3, accelerometer: {sensitivity: 100 mV/g}}
+        converter: {rate: 128 Hz, bits: 13, range: 1 V, coupling: AC, ac_corner: 5 Hz}
+        """
+    )
+    [curves] = analysis.frequency_responses(daq.record(scene, tmp_path / "a.mcap"))
+    assert NONLINEAR not in [text for curve in curves for text in curve.warnings]
 
 
 def test_tone_that_lifts_a_damper_is_recommended(tmp_path):

@@ -93,17 +93,9 @@ def identify(frfs: Response | Sequence[Response], count: int | None = None) -> M
     all_lines = [frf.to("displacement").sorted() for frf in labeled]
     curves, measured, chart, fitted_poles = _fit_lines(all_lines, count)
     if not fitted_poles.poles.size:
-        if _fit_lines([replace(lines, value=lines.value.conj()) for lines in all_lines], count)[-1].poles.size:
-            raise RecordingError(
-                f"{curves[0].label}: the phases have the opposite sign: only the complex conjugates contain modes. "
-                "Change the sign of the phase or of the imaginary part."
-            )
-        reason = " ".join(rejections(fitted_poles)) or (
-            "no resonance is higher than the noise and wider than the frequency resolution."
-        )
-        raise RecordingError(
-            f"{curves[0].label}: {reason} Measure for longer, with a smaller frequency spacing, or in a different band."
-        )
+        used = {curve.response for curve in curves}
+        lines = [each for each in all_lines if each.response in used]
+        raise RecordingError(f"{curves[0].label}: {_reason_without_modes(lines, count, fitted_poles)}")
     # A pole is omitted if the uncertainty of the curves at its frequency is unbounded.
     frequency: Array = np.asarray(abs(fitted_poles.poles) / (2 * np.pi), dtype=float)
     is_unbounded = expand(fitted_poles.frequency_std) >= frequency
@@ -146,6 +138,46 @@ def identify(frfs: Response | Sequence[Response], count: int | None = None) -> M
     unused = [frf.response for frf in frfs if frf.response not in result.responses]
     notes = mode_warnings(result, curves, count, fitted_poles, uncertain, unmeasured, unused)
     return replace(result, warnings=(*curves[0].warnings, *notes))
+
+
+def _reason_without_modes(all_lines: Sequence[Response], count: int | None, fitted_poles: IdentifiedPoles) -> str:
+    """Return why responses have no modes, and what to do."""
+
+    def has_modes(lines: Sequence[Response]) -> bool:
+        return _fit_lines(lines, count)[-1].poles.size > 0
+
+    if has_modes([replace(lines, value=lines.value.conj()) for lines in all_lines]):
+        return (
+            "the phases have the opposite sign: only the complex conjugates contain modes. Change the sign of the "
+            "phase or of the imaginary part."
+        )
+    longer = "Measure for longer, with a smaller frequency spacing, or in a different band."
+    if rejected := " ".join(rejections(fitted_poles)):
+        return f"{rejected} {longer}"
+    alone = [lines.response for lines in all_lines if has_modes([lines])] if len(all_lines) > 1 else []
+    if alone:
+        have = f"each of {', '.join(alone)} alone has" if len(alone) > 1 else f"{alone[0]} alone has"
+        return (
+            f"the responses have no common modes, but {have} modes: a channel is late or faulty. Identify one response "
+            f"(`analysis modes --response {alone[0]}`), and correct the others."
+        )
+    peaks = [lines.response for lines in all_lines if _has_clear_peak(lines)]
+    if peaks:
+        return (
+            f"{', '.join(peaks)}: no model of few modes fits the peaks. A late channel, modes closer than their "
+            "half-power width, or a nonlinear structure can be the cause. Add responses at other bodies, or compare "
+            "with a stepped-sine test at a lower level."
+        )
+    return f"no resonance is higher than the noise and wider than the frequency resolution. {longer}"
+
+
+def _has_clear_peak(lines: Response) -> bool:
+    """Return whether the largest value is not at an end, and far above its uncertainty and the median."""
+    magnitude = np.where(np.isfinite(lines.value), abs(lines.value), 0.0)
+    line = int(np.argmax(magnitude))
+    # The largest of 1000 values of noise is twice its expanded uncertainty.
+    limit = max(3.0 * float(lines.expanded()[line]), 2.0 * float(np.median(magnitude)))
+    return 0 < line < magnitude.size - 1 and bool(magnitude[line] > limit)
 
 
 def _fit_lines(

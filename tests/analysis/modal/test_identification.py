@@ -151,6 +151,26 @@ def two_modes(natural, distance, zeta, lines, noise=0.0, seed=0):
     return omega / (2 * np.pi), curves_of(frequency, value + error * (real_noise + 1j * imaginary_noise), error)
 
 
+def one_mode(frequency, natural, zeta):
+    """Return the response of a mode relative to its static response."""
+    return 1.0 / (1.0 + 2j * zeta * frequency / natural - (frequency / natural) ** 2)
+
+
+@pytest.mark.parametrize(
+    ("delay", "error", "message"),
+    [(0.05, 1e-5, "but body1 alone has modes: a channel is late"), (0.0, 1e-3, "body1: no model of few modes fits")],
+)
+def test_clear_peaks_without_modes_are_explained(delay, error, message):
+    frequency = np.linspace(5.0, 60.0, 441)
+    low, high = one_mode(frequency, 23.0, 0.006), one_mode(frequency, 48.0, 0.006)
+    value = np.stack([low + 0.3 * high, (low - 0.5 * high) * np.exp(-2j * np.pi * frequency * delay)])
+    if not delay:  # three modes closer than their half-power width
+        close = [one_mode(frequency, natural, 0.0085) for natural in (35.6, 35.82, 36.02)]
+        value = np.array([[1.0, -2.0, 1.0]]) @ np.stack(close)
+    with pytest.raises(RecordingError, match=message):
+        analysis.identify(curves_of(frequency, value, np.full(441, error)))
+
+
 @pytest.mark.parametrize("zeta", [0.002, 0.01])
 @pytest.mark.parametrize("seed", [1, 2])
 def test_close_modes_without_noise_are_separated(zeta, seed):

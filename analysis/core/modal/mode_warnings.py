@@ -58,7 +58,8 @@ def mode_warnings(
             yield (
                 f"The modes do not explain the response: {residual_text}, more than the {expected}. The "
                 "structure may be nonlinear, as with dampers in flight; the modes are then its linear equivalent at "
-                "this force level. Or it has a heavily damped mode, such as that of a shaker's armature."
+                "this force level. Or it has a heavily damped mode, such as that of a shaker's armature, or modes "
+                "closer than their half-power width: the interval of their common pole may contain none of them."
             )
         else:
             yield (

@@ -84,7 +84,7 @@ class HeldMotion(EnvelopeTone):
 
         If the motion leaves the level although the drive is constant, its orbit is unstable: feedback holds it.
         """
-        held = yield from self.hold_until_decayed(samples, self.target)
+        held = yield from self.hold_until_decayed(samples, self.target, feedback=False)
         growth = held.growth
         if settled and growth:
             settled = yield from self.settle_envelope(self.frequency, self.amplitude, self.target, self._settle.longest)

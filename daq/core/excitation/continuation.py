@@ -183,12 +183,12 @@ class _Curve:
         test, station, tone, is_unstable = self._test, self._station, self._tone, tangent.real * self._forward < 0.0
         samples = round(test.measure.periods * station.rate / point.frequency)
         # At constant drive, a motion next to a fold drifts slowly, and its force is in error.
-        held = yield from tone.hold_envelope(samples, point.motion, feedback=self._holding)
+        held = yield from tone.hold_until_decayed(samples, point.motion, feedback=self._holding)
         if self._holding and not is_unstable and held.invasive >= _MAX_INVASIVE:
             # Feedback excites some stable motions, such as those next to corners.
             if (yield from tone.hold_at(point.frequency, point.motion)) is None:
                 return False
-            held = yield from tone.hold_envelope(samples, point.motion, feedback=False)
+            held = yield from tone.hold_until_decayed(samples, point.motion, feedback=False)
         # The amplitude of an irregular motion can also grow.
         settled = held.invasive < _MAX_INVASIVE and not (held.growth and held.repetition)
         self._is_irregular |= settled and not held.repetition

@@ -47,25 +47,43 @@ class _Window(NamedTuple):
     phase: float  # rad
 
 
+class _Measured(NamedTuple):
+    """A measurement at constant frequency."""
+
+    first: int  # first sample
+    window: _Window
+    repetition: int  # number of periods of the tone after which the motion repeats, as far as noise permits; 0: none
+    is_resonant: bool  # whether the phase is within its tolerance
+
+
 class _PhaseTone(RepeatingTone):
     """A tone whose frequency follows the phase."""
 
     def __init__(self, station: Station, test: PhaseResonance) -> None:
         super().__init__(station, test.frequency, controlled(station), displacement(station, test.at), test.settle)
         self._test, self._quantities = test, (self._quantity, measured_force(station))
-        self.samples = np.empty(0)  # of the first channel of the motion, in the last window
+        self._samples = np.empty(0)  # of the first channel of the motion, in the last window
         self._settings = loop_settings(station.scene, station.latency / station.rate)
 
     def window_of(self, samples: int) -> Generator[Array, Array, _Window]:
         """Hold the tone for a window."""
         tone = [self.frequency], [self.phase]
         readings = yield self.station.drive(self.hold(samples))
-        self.samples = readings[self._quantity.rows[0]]
+        self._samples = readings[self._quantity.rows[0]]
         motion, force = (
             -1j * self.amplitude if quantity is None else complex(quantity.amplitudes(readings, *tone)[0])
             for quantity in self._quantities
         )
         return _Window(self.frequency, motion, force, float(np.angle(motion / force)) if force else 0.0)
+
+    def measure_resonance(self) -> Generator[Array, Array, tuple[_Measured, bool]]:
+        """Measure at constant frequency; return the result, and whether another measurement can be steadier."""
+        first = self.station.now
+        shortest_s = round(self._test.measure.periods * self.station.rate / self.frequency) / self.rate
+        window = yield from self.window_of(whole_periods(self.frequency, self.rate, shortest_s))
+        repetition = self.repetition(self._samples, abs(window.motion))
+        is_resonant = abs(self.loop.error(window.phase)) <= self._test.tolerance
+        return _Measured(first, window, repetition, is_resonant), is_resonant and repetition != 1
 
     def lock(self) -> Generator[Array, Array, tuple[bool, float]]:
         """Lock the phase by the frequency; return whether it is locked and steady, and the amplitude of the force."""
@@ -144,25 +162,21 @@ class PhaseResonanceProcedure(SteadyTonesProcedure["PhaseResonance"]):
                 "settle", first, station.now, drive=tone.amplitude, settled=locked, frequency=tone.frequency, **fields
             )
             for attempt in range(_MAX_LOCKS):
-                begin = station.now
-                shortest_s = round(test.measure.periods * station.rate / tone.frequency) / tone.rate
-                measured = yield from tone.window_of(whole_periods(tone.frequency, tone.rate, shortest_s))
-                within = abs(tone.loop.error(measured.phase)) <= test.tolerance
-                if not locked or within or attempt == _MAX_LOCKS - 1:
-                    locked = locked and within
+                measured = yield from tone.until_decayed(tone.measure_resonance)
+                if not locked or measured.is_resonant or attempt == _MAX_LOCKS - 1:
+                    locked = locked and measured.is_resonant
                     break
                 locked, _ = yield from tone.lock()
-            repetition = tone.repetition(tone.samples, abs(measured.motion))
             station.mark(
-                "measure", begin, station.now, drive=tone.amplitude, force=abs(measured.force),
-                settled=locked and repetition > 0, frequency=tone.frequency, phase=measured.phase,
-                repetition=repetition, **fields,
+                "measure", measured.first, station.now, drive=tone.amplitude, force=abs(measured.window.force),
+                settled=locked and measured.repetition > 0, frequency=tone.frequency, phase=measured.window.phase,
+                repetition=measured.repetition, **fields,
             )  # fmt: skip
             if locked:
                 frequency, drive = tone.frequency, tone.amplitude
-                tone.add_repetition(level, repetition)
+                tone.add_repetition(level, measured.repetition)
             else:
-                failures.append(f"{at_level}: {tone.failure(measured)}")
+                failures.append(f"{at_level}: {tone.failure(measured.window)}")
         yield tone.end()
         if len(failures) == len(test.levels):
             raise AbortedTest(failures[0])

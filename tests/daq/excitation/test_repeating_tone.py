@@ -1,12 +1,15 @@
 """Number of periods of the tone after which motions repeat: synthetic motions, and motions on the bench."""
 
-from typing import Any
+import math
+from collections.abc import Generator
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
 
 import rig
-from daq.core.excitation.tones.repeating_tone import amplitudes_of_periods, repetition
+from daq.core.excitation.tones.repeating_tone import RepeatingTone, amplitudes_of_periods, repetition
 from rig.core.base.arrays import Array
 from tests.daq.measurement.bench_run import run
 
@@ -134,6 +137,31 @@ def test_small_alternating_transient_is_no_multiple() -> None:
 @pytest.mark.parametrize("noise", [1e-4, 1e-2, 1e-1])
 def test_noise_is_no_multiple(periods: int, noise: float) -> None:
     assert {of_motion(np.zeros(periods * PER_PERIOD), noise, seed) for seed in range(200)} == {1}
+
+
+@pytest.mark.parametrize(
+    ("deviations", "longest", "n_measured"),
+    [
+        ([1.0, 0.7, 0.5, 0.49, 0.1], 100, 4),  # the motion no longer decays
+        ([1.0, 0.7, 0.5, 0.3, 0.2], 3, 3),  # the longest time of settling
+        ([math.nan, math.nan], 100, 1),
+    ],
+)
+def test_measurements_are_repeated_during_a_decay(deviations: list[float], longest: int, n_measured: int) -> None:
+    station = SimpleNamespace(now=0, samples=int)
+    tone = SimpleNamespace(station=station, _settle=SimpleNamespace(longest=longest), _deviation=0.0)
+
+    def measure() -> Generator[Any, Any, tuple[int, bool]]:
+        yield
+        tone._deviation = deviations[station.now]
+        station.now += 1
+        return station.now, True
+
+    measuring = RepeatingTone.until_decayed(cast(Any, tone), measure)
+    with pytest.raises(StopIteration) as end:
+        while True:
+            next(measuring)
+    assert end.value.value == n_measured
 
 
 @pytest.mark.parametrize(

@@ -54,9 +54,6 @@ _REDUCED_GAIN = 0.5
 AVERAGED_WINDOWS = 12
 # In steady state, the drives of these windows have at most this relative standard deviation.
 _MAX_SCATTER = 0.01
-# A measurement is repeated while the differences of its periods decrease to at most this ratio from one measurement to
-# the next: other modes decay. Differences by a multiple of the period or an irregular motion remain about equal.
-_DECAYING_RATIO = 0.8
 # The motion has left its target if it deviates by more than this multiple of the tolerance; it scatters by less.
 _LEFT_RATIO = 2.0
 
@@ -278,15 +275,14 @@ class EnvelopeTone(RepeatingTone):
         repetition = self.repetition(np.concatenate(self._readings), abs(motion), changes)
         return Held(first, motion, drive, invasive, growth, repetition)
 
-    def hold_until_decayed(self, samples: int, target: float) -> Generator[Array, Array, Held]:
-        """Measure as `hold_envelope` with constant drive, again while other modes decay."""
-        previous = np.inf
-        while True:
-            held = yield from self.hold_envelope(samples, target, feedback=False)
-            # `not <=` ends the repetition for NaN, too.
-            if held.repetition == 1 or held.growth or not self.deviation <= _DECAYING_RATIO * previous:
-                return held
-            previous = self.deviation
+    def hold_until_decayed(self, samples: int, target: float, feedback: bool) -> Generator[Array, Array, Held]:
+        """Measure as `hold_envelope`, again while other modes decay."""
+
+        def measure() -> Generator[Array, Array, tuple[Held, bool]]:
+            held = yield from self.hold_envelope(samples, target, feedback)
+            return held, held.repetition != 1 and not held.growth
+
+        return (yield from self.until_decayed(measure))
 
     def mark_measured(self, held: Held, settled: bool, **fields: Any) -> None:
         """Mark a measurement that ends at the current sample; `settled`: whether its envelope is steady."""

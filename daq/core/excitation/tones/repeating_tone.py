@@ -5,8 +5,9 @@ of the tone is nearly constant.
 """
 
 from collections import defaultdict
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from math import ceil
+from typing import TypeVar
 
 import numpy as np
 
@@ -19,6 +20,10 @@ from rig.core.base.arrays import Array, ComplexArray
 from rig.core.results.text import format_frequencies
 from rig.core.scene.excitation import Settle
 
+T = TypeVar("T")
+# A measurement is repeated while the differences of its periods decrease to at most this ratio from one measurement to
+# the next: other modes decay. Differences by a multiple of the period or an irregular motion remain about equal.
+_DECAYING_RATIO = 0.8
 # A motion that repeats after at most this number of periods of the tone is periodic.
 _MAX_REPEATED_PERIODS = 4
 # The period is a multiple only if the deviations from one period exceed the smallest deviations, which are an estimate
@@ -52,7 +57,7 @@ class RepeatingTone(SteadyTone):
         # Standard deviation of the amplitude in a window by noise, before the weights of the displacement.
         self._noise = 0.0
         # Root mean square difference of two periods in the last measurement, relative to the motion.
-        self.deviation = 0.0
+        self._deviation = 0.0
         # Frequencies [Hz] and repetitions of the motions at each level.
         self._repetitions = defaultdict[float, list[tuple[float, int]]](list)
 
@@ -90,8 +95,25 @@ class RepeatingTone(SteadyTone):
         ratio = (1.5 * len(_COMPARED_ORDERS) * self.window * self.frequency / self.rate / 2.0) ** 0.5
         noise = ratio * self.relative_noise(motion)
         amplitudes = amplitudes_of_periods(samples, self.frequency, self.rate)
-        self.deviation = float(np.mean(_deviations(amplitudes, 1)[0])) ** 0.5
+        self._deviation = float(np.mean(_deviations(amplitudes, 1)[0])) ** 0.5
         return repetition(amplitudes, self._settle.tolerance, noise, feedback)
+
+    def until_decayed(
+        self, measure: Callable[[], Generator[Array, Array, tuple[T, bool]]]
+    ) -> Generator[Array, Array, T]:
+        """Measure again while other modes decay, for at most the longest time of settling; return the last result.
+
+        `measure`: measures and determines the `repetition` of the motion; it returns its result and whether another
+        measurement can be steadier.
+        """
+        end = self.station.now + self.station.samples(self._settle.longest)
+        previous = np.inf
+        while True:
+            result, is_transient = yield from measure()
+            # `not <=` ends the loop for NaN, too.
+            if not is_transient or self.station.now >= end or not self._deviation <= _DECAYING_RATIO * previous:
+                return result
+            previous = self._deviation
 
     def add_repetition(self, level: float, repetition: int) -> None:
         """Add a motion to those of the next warning."""

@@ -31,6 +31,8 @@ _MAX_PROBED = 0.06
 _SEARCHES = 2, 4, 16
 # Orbits are followed over the drive, relative to that of the point, and over the frequency.
 _DRIVES, _FREQUENCIES = (0.75, 1.33), (0.97, 1.03)
+# Orbits are followed again in this range about a phase resonance, where the phase changes much between their points.
+_NEAR_FREQUENCIES = 0.999, 1.001
 
 # Measured value, half of its interval, exact value, and the scale of relative errors.
 _Point = tuple[float, float, float, float]
@@ -73,7 +75,12 @@ class _Crossing(NamedTuple):
 
 
 def _orbits(
-    case: Case, drive: float, frequency: float, over_drive: bool, searches: int = _SEARCHES[0]
+    case: Case,
+    drive: float,
+    frequency: float,
+    over_drive: bool,
+    searches: int = _SEARCHES[0],
+    frequencies: tuple[float, float] = _FREQUENCIES,
 ) -> rig.OrbitCurve | None:
     """Follow the orbits about a drive and a frequency, over the drive or the frequency; None if it fails."""
     shaker, rate = case.scene.driven_shaker, case.scene.converter.rate
@@ -81,7 +88,7 @@ def _orbits(
     drive *= float(np.sinc(frequency / rate)) ** 2
     key = "force" if shaker is not None and shaker.drive_is_force else "drive"
     theory = case.scene.replace(test={"kind": "sine", "frequency": frequency, key: drive}, channels=None)
-    ratios, parameter, value = (_DRIVES, key, drive) if over_drive else (_FREQUENCIES, "frequency", frequency)
+    ratios, parameter, value = (_DRIVES, key, drive) if over_drive else (frequencies, "frequency", frequency)
     options = {"frequency": frequency} if over_drive else {}
     try:
         return rig.follow_orbits(
@@ -208,6 +215,9 @@ def _phase_points(case: Case) -> Iterator[_Point | None]:
             yield None
             continue
         exact = min(found, key=lambda each: abs(each.value - measured))
+        near = _orbits(case, float(mark.fields["drive"]), exact.value, over_drive=False, frequencies=_NEAR_FREQUENCIES)
+        found = [] if near is None else list(_crossings(near, body, _phase_offset))
+        exact = min(found, key=lambda each: abs(each.value - measured), default=exact)
         width = max(float(result.damping[k]) * exact.value, 1e-6 * exact.value)
         yield measured, float(result.frequency_expanded[k]), exact.value, width
         # At a coil spring, the force changes much with the frequency.

@@ -127,7 +127,7 @@ def simulate(
     ] = None,
     overwrite: Overwrite = False,
 ) -> None:
-    """Simulate the motion of a scene; print peaks, events and energy.
+    """Simulate a scene; print its largest motion, events and energy.
 
     The drive acts in open loop: sensors and controller are not simulated.
     """

@@ -56,6 +56,7 @@ _RANGES = (
     _Range(("dampers", None, "mass_ratio"), RATIO, _MAX_MASS_RATIO, "%", "a ratio", only_bare=True),
     _Range(("structure", "damping", "modal"), RATIO, 0.1, "%", _RATIO_TO_CRITICAL, only_bare=True),
     _Range(("structure", "damping", "modal", None), RATIO, 0.1, "%", _RATIO_TO_CRITICAL, only_bare=True),
+    _Range(("test", "settle", "tolerance"), RATIO, 0.5, "%", "a ratio to the amplitude"),
     # Hammer impacts and wall contacts last some milliseconds.
     _Range(("test", "width"), TIME, 0.1, "ms", "seconds"),
     *(_Range((*_CONTACT, *wall, "duration"), TIME, 0.1, "ms", "seconds") for wall in ((), ("floor",), ("ceiling",))),

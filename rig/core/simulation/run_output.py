@@ -64,12 +64,14 @@ def simulate_to_file(
 
 
 def summary(run: Run) -> str:
-    """Return a summary in a few lines: peaks, events, energy."""
+    """Return a summary in a few lines: largest samples, events, energy."""
+    rate = (len(run.time) - 1) / run.time[-1]
     lines = [f"{run.scene.name}: {run.time[-1]:.6g} s, {len(run.time)} samples", ""]
-    lines.append(f"{'point':10}{'peak m':>12}{'peak m/s':>12}{'peak m/s²':>12}")
+    lines.append(f"largest samples at {rate:.4g} Hz; the motion between samples can be larger")
+    lines.append(f"{'point':10}{'m':>12}{'m/s':>12}{'m/s²':>12}")
     for row, point in enumerate(run.points):
-        peaks = (np.abs(motion[row]).max() for motion in (run.displacement, run.velocity, run.acceleration))
-        lines.append(f"{point:10}" + "".join(f"{peak:12.4g}" for peak in peaks))
+        largest = (np.abs(motion[row]).max() for motion in (run.displacement, run.velocity, run.acceleration))
+        lines.append(f"{point:10}" + "".join(f"{value:12.4g}" for value in largest))
     lines.append("")
     for noun in [name for name in ("damper", "joint") if name in (run.events.dtype.names or ())]:
         for number in sorted({int(number) for number in run.events[noun]} - {0}):

@@ -166,16 +166,16 @@ def simulate(
     system = assemble(scene)
     _check_memory(system, duration * rate)
     samples = int(duration * rate * (1.0 + 1e-12)) + 1
-    has_grains = bool(system.grains.any())
-    tone = None if drive is not None else tone_drive(scene, system, frequency)
-    if tone is not None and not has_grains:
-        _check_memory(system, duration * (rate + tone.frequency))
-        return _simulate_tone(scene, system, tone, duration, samples, rate)
     if drive is None and samples < 2:
         raise SceneError(
             f"duration: got {duration:g} s, less than a sample interval at {rate:g} Hz; "
             f"expected at least {1.0 / rate:g} s"
         )
+    has_grains = bool(system.grains.any())
+    tone = None if drive is not None else tone_drive(scene, system, frequency)
+    if tone is not None and not has_grains:
+        _check_memory(system, duration * (rate + tone.frequency))
+        return _simulate_tone(scene, system, tone, duration, samples, rate)
     if has_grains and tone is not None:
         return grains_simulation().simulate(scene, tone, samples, rate, keep, progress)
     sampled = sampled_drive(scene, system, samples, rate) if drive is None else _validated_drive(drive, system)

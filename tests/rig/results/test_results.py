@@ -12,6 +12,7 @@ import daq
 import rig
 from rig.core.base.errors import RunError, SceneError
 from rig.core.results.table import Table, join_tables
+from rig.core.simulation.run_output import summary
 from tests.rig.this_process import pieces_in_this_process
 
 SWEEP, HIT = "recordings/demo-sweep-no-damper.mcap", "recordings/demo-impulse-no-damper.mcap"
@@ -100,6 +101,13 @@ def test_too_short_duration_is_reported() -> None:
     )
     with pytest.raises(SceneError, match="duration: got 1e-12 s, less than a sample interval at 1000 Hz"):
         rig.simulate(scene, 1e-12, rate=1000.0)
+    with pytest.raises(SceneError, match=r"duration: got 1 s, less than a sample interval at 0\.5 Hz"):
+        rig.simulate(rig.load("reference-A"), 1.0, rate=0.5)
+
+
+def test_summary_of_a_simulation_names_its_samples() -> None:
+    text = summary(rig.simulate(rig.load("reference-A"), 0.5, rate=60.0))
+    assert "largest samples at 60 Hz; the motion between samples can be larger" in text and "peak" not in text
 
 
 @pytest.mark.parametrize(

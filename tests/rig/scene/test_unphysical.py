@@ -66,6 +66,11 @@ def test_implausible_clearance_without_unit_causes_warning() -> None:
         rig.loads(chain % clearance)
 
 
+def test_tolerance_in_percent_without_unit_causes_warning() -> None:
+    with pytest.warns(SceneWarning, match=r"test.settle.tolerance: got 2 without a unit.* such as 2 %"):
+        rig.load("fig8-no-damper", {"test.settle.tolerance": 2})
+
+
 CHAIN = "structure: {masses: [%s, 0.7 kg], springs: [%s, 20 kN/m]}\ndampers: [{body: 1, mass: %s, clearance: 1 mm}]"
 
 

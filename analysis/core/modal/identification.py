@@ -158,8 +158,8 @@ def _reason_without_modes(all_lines: Sequence[Response], count: int | None, fitt
     if alone:
         have = f"each of {', '.join(alone)} alone has" if len(alone) > 1 else f"{alone[0]} alone has"
         return (
-            f"the responses have no common modes, but {have} modes: a channel is late or faulty. Identify one response "
-            f"(`analysis modes --response {alone[0]}`), and correct the others."
+            f"the responses have no common modes, but {have} modes: a channel is late or faulty. Identify {alone[0]} "
+            "alone, and correct the others."
         )
     peaks = [lines.response for lines in all_lines if _has_clear_peak(lines)]
     if peaks:

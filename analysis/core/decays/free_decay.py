@@ -155,7 +155,7 @@ class Decay(Result):
         It is computed from the slope of a line fitted to the energy between -1 and -11 dB.
         """
         initial = (self.energy <= INITIAL_DECAY_DB[0]) & (self.energy >= INITIAL_DECAY_DB[1])
-        if np.sum(initial) < 8:
+        if np.sum(initial) < 8 or self.energy.min() > INITIAL_DECAY_DB[1]:
             return float("nan")
         slope = np.polyfit(self.time[initial], self.energy[initial], 1)[0]  # dB/s
         return float(-20.0 * np.log10(2.0) / slope)

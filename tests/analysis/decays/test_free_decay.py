@@ -341,6 +341,12 @@ def test_high_mode_in_short_record_is_resolved(tmp_path):
     assert decay.halving == pytest.approx(np.log(2.0) / (2 * np.pi * 900.0 * MODAL_DAMPING), rel=0.02)
 
 
+def test_short_decay_has_no_time_of_6_db(tmp_path):
+    scene = rig.loads(STIFF_BODY.format(stiffness=4000, duration=10).replace("0.5 %", "0.05 %"))
+    decay = analysis.decay(daq.record(scene, tmp_path / "a.mcap"))
+    assert np.isnan(decay.halving) and "does not fall by 11 dB" in " ".join(decay.warnings)
+
+
 def test_undamped_motion_is_not_a_decay(tmp_path):
     scene = rig.loads(STIFF_BODY.format(stiffness=(2 * np.pi * 300.0) ** 2, duration=0.5).replace("0.5 %", "0 %"))
     path = daq.record(scene, tmp_path / "a.mcap")

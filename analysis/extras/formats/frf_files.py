@@ -15,10 +15,9 @@ from analysis.core.modal.roving_hammer import exchange_points
 from analysis.core.responses.checks.curve_checks import reversed_force
 from analysis.extras.formats.frf_arrays import response_arrays
 from daq.extras.importing import uff
-from daq.extras.importing.clock import warn
 from daq.extras.importing.files import signals_of
 from daq.extras.importing.text_layout import UNNAMED, without_brackets
-from daq.extras.importing.units import quantity_and_scale
+from daq.extras.importing.units import KINDS, quantity_of
 from rig.core.base.arrays import Array
 from rig.core.base.errors import RecordingError, SceneError
 from rig.core.base.escaping import unescape_cell
@@ -26,7 +25,7 @@ from rig.core.base.input_files import as_path
 from rig.core.results.response import MOTIONS, Response, stack
 from rig.core.results.uncertainty import SYSTEMATIC
 from rig.core.results.universal_file import BOUND_LINE, DEVIATION_LINE, FRF, GENERAL, RESOLUTION_LINE
-from rig.core.settings.quantities import FREQUENCY
+from rig.core.settings.quantities import DASHPOT, FREQUENCY, MASS, STIFFNESS, Kind
 
 _ARRAY_ENDINGS = (".mat", ".h5", ".hdf5", ".npz", ".npy")
 # Heading of a column: name of the response, component, and unit of the phase.
@@ -45,6 +44,13 @@ _ANGLE = re.compile(r"deg(rees?)?|°|rad(ians?)?|grad", re.IGNORECASE)
 _DECIBELS = re.compile(
     r"(?:re(?:f\w*)?\.?:?\s*|/\s*)?(?P<reference>\d[\d.]*(?:e[+-]?\d+)?)?\s*(?P<unit>[^\d\s].*)?", re.IGNORECASE
 )
+# Kinds of responses by the quantity of their motion, and of their inverses.
+_RATIOS = {
+    motion: Kind(f"a ratio of {motion} to force", f"{kind.si}/N", f"1 {kind.si}/N")
+    for motion, kind in KINDS.items()
+    if motion in MOTIONS
+}
+_INVERSES = {"dynamic stiffness": STIFFNESS, "mechanical impedance": DASHPOT, "apparent mass": MASS}
 # Units of frequencies, and their values in Hz.
 _FREQUENCY_UNITS = {"hz": 1.0, "khz": 1e3, "rad/s": 0.5 / np.pi}
 # Largest deviation of a step between lines of a DFT from a multiple of their spacing, due to rounding in a table,
@@ -221,45 +227,25 @@ def _ratio(where: str, stated: str, given: str | None = None) -> tuple[str, floa
     `where`: location in the file, for messages. The unit `given` overrides the unit `stated` in the file, but not that
     of a dynamic stiffness: its poles are antiresonances.
 
-    >>> _ratio("a", "(1/N)*(m/s²)"), _ratio("a", "(g)/(N)"), _ratio("a", "m/N")
+    >>> _ratio("a", "(1/N)*(m/s²)"), _ratio("a", "[g]/[N]"), _ratio("a", "m/N")
     (('acceleration', 1.0), ('acceleration', 9.80665), ('displacement', 1.0))
     """
     for text in filter(None, (stated, given)):
-        numerator, _, denominator = re.sub(r"^\((.*?)\)", r"\1", text).partition("/")
-        quantities = [_quantity_and_scale(part)[0] for part in (re.split(r"[\s·*]", numerator)[0], denominator)]
-        if text == "kg" or (quantities[0] == "force" and quantities[1] in MOTIONS):
+        # In FRFs, g is the standard gravity, not the gram.
+        if found := quantity_of(re.sub(r"\b([mun]?)g\b", r"\1gn", text), _INVERSES):
             raise SceneError(
-                f"{where}: the unit {text!r} is force per motion (dynamic stiffness). Export its inverse, such as m/N."
+                f"{where}: the unit {text!r} is force per motion ({found[0]}). Export its inverse, such as m/N."
             )
-    # Tables written by this program contain m/(N s^2).
-    unit = re.sub(r"/\(N (s|s\^2|s²)\)", r"/\1/N", without_brackets((given or stated).strip()))
+    unit = given or stated.strip()
     if not unit:
         raise SceneError(f"{where}: the file states no unit. Give the unit, such as `unit` m/s^2/N.")
-    if ratio := re.fullmatch(r"(\([^()]+\))\s*(\([^()]+\))", unit):
-        unit = f"{ratio[1]}/{ratio[2]}"
-        warn(f"{where}: its unit {ratio[0]} is read as {unit}. If it is a cross spectrum, export the response.")
-    for pattern in (
-        r"\(?1/\(?(?P<denominator>[^()*]+)\)?\)?\s*\*\s*\(?(?P<numerator>[^()]+)\)?",
-        r"\((?P<numerator>.+)\)\s*/\s*\(?(?P<denominator>[^()/]+)\)?",
-        r"(?P<numerator>.+?)\s*/\s*\(?(?P<denominator>[^/()\s]+)\)?",
-    ):
-        if match := re.fullmatch(pattern, unit):
-            parts = match.group("numerator", "denominator")
-            (motion, motion_unit), (force, force_unit) = map(_quantity_and_scale, parts)
-            if motion in MOTIONS and force == "force":
-                return motion, motion_unit / force_unit
+    if ratio := quantity_of(unit, _RATIOS):
+        return ratio
     raise SceneError(
-        f"{where}: unit {unit!r}; expected motion per force, such as m/N, m/s/N, m/s^2/N or g/N. To identify the poles "
-        "of other responses, such as sound pressures, give `unit` m/s^2/N; the shapes then have the unit of the file."
+        f"{where}: unit {unit!r}; expected motion per force, such as m/N, m/s/N, m/s^2/N or g/N. If the values are "
+        "such a response and not a cross spectrum, give its unit as `unit`. To identify the poles of other responses, "
+        "such as sound pressures, give `unit` m/s^2/N; the shapes then have the unit of the file."
     )
-
-
-def _quantity_and_scale(unit: str) -> tuple[str, float]:
-    """Return the quantity of a unit, empty if unknown, and its size in SI."""
-    try:
-        return quantity_and_scale(without_brackets(unit.strip()))
-    except ValueError:
-        return "", 0.0
 
 
 def _from_long_table(path: Path, unit: str | None) -> list[Response]:
@@ -351,7 +337,7 @@ def _from_table(path: Path, unit: str | None) -> list[Response]:
                 f"{path}: column {name!r}; expected a name that ends in real, imag, magnitude or phase. {_IMPORT}"
             )
         component = _COMPONENTS[match[2][0].lower()]
-        components.setdefault(match[1].strip("|") or "response", {})[component] = (match[3] or column_unit, values)
+        components.setdefault(match[1].strip("|/") or "response", {})[component] = (match[3] or column_unit, values)
     curves, incomplete = [], []
     for name, pair in components.items():
         _, coherence = pair.pop("coherence", ("", None))

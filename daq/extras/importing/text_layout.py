@@ -13,7 +13,7 @@ import numpy as np
 
 from daq.extras.importing.analyzer_heading import keyed_heading
 from daq.extras.importing.clock import TIME_NAMES, looks_like_times, rate_of_interval, warn
-from daq.extras.importing.units import GIVE_VALUE_OF_COUNT
+from daq.extras.importing.units import GIVE_VALUE_OF_COUNT, KINDS, quantity_of
 from rig.core.base.errors import RecordingError
 from rig.core.base.escaping import unescape_cell
 from rig.core.settings.quantities import is_unit
@@ -377,7 +377,12 @@ def _has_line_numbers(layout: Layout, first_lines: Sequence[str], names: Sequenc
     if len(names) < 2 or (np.diff(first) != 1.0).any():
         return False
     is_even = looks_like_times(second, second[-1], second.size) or (np.diff(second) == 1.0).all()
-    return (layout.rate is not None and is_named) or (len(names) > 2 and len(rows) >= _MIN_NUMBERED_LINES and is_even)
+    # PULSE numbers the lines below such a heading.
+    is_numbered = first_lines[0].startswith("Header Size") and (np.diff(second) > 0.0).all()
+    # Two signals next to a column of integers may be even, too; the times of vibration have shorter steps.
+    is_even &= is_named or len(names) > 3 or np.diff(second[:2]).max(initial=0.0) < _MAX_TIME_INTERVAL
+    is_even &= len(rows) >= _MIN_NUMBERED_LINES
+    return (layout.rate is not None and is_named) or (len(names) > 2 and bool(is_even or is_numbered))
 
 
 def _without_interval(rows_above: list[list[str]]) -> tuple[list[list[str]], float | None]:
@@ -470,8 +475,8 @@ def _are_units(row: Sequence[str], above: Sequence[str]) -> bool:
     is_time = units[0] in _ABSCISSA_UNITS or (
         has_units and any(names.fullmatch(above[0]) for names in (TIME_NAMES, _LINE_NUMBER))
     )
-    # A table without times has a unit in each cell.
-    is_time |= all(units) and all(map(is_unit, units)) and all(above) and not any(map(is_unit, above))
+    # A table without times has a unit of a channel in each cell; names may be symbols of other units: ``A``, ``T``.
+    is_time |= all(quantity_of(unit, KINDS) for unit in units) and all(above) and not any(map(is_unit, above))
     if not is_time or max(map(len, units)) > _MAX_UNIT_LENGTH or (above_has_units and not has_units):
         return False
     in_brackets = all(unit != cell for unit, cell in zip(units, row, strict=True))
@@ -502,7 +507,7 @@ def without_brackets(cell: str) -> str:
     >>> without_brackets("[ m/s / N ]"), without_brackets("(m/s²)/N")
     ('m/s / N', '(m/s²)/N')
     """
-    match = re.fullmatch(r"\[(.*)\]|\(((?:[^()]|\([^()]*\))*)\)", cell)
+    match = re.fullmatch(r"\[([^\[\]]*)\]|\(((?:[^()]|\([^()]*\))*)\)", cell)
     return cell if match is None else (match[1] or match[2] or "").strip()
 
 

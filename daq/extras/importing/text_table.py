@@ -222,6 +222,8 @@ class _Table:
             self._examined_lines = [line for _, line in following[:_MAX_EXAMINED_LINES]]
             while block := following:
                 following = list(islice(lines, BLOCK_LINES))
+                if not following:
+                    block = self._without_footer(block)
                 n_bytes = sum(len(line) for _, line in block)
                 require_memory_with_program(_MEMORY_PER_BYTE * n_bytes, f"{path}: importing it")
                 lines_before = self._examined_lines[: self.rows + len(block) - 1]
@@ -237,6 +239,21 @@ class _Table:
             self.values: Array = np.memmap(store, np.float64, "r", shape=shape) if self.rows else np.empty(shape)
         if self.rows:
             self._examined_lines = [*self._examined_lines[: self.rows], last_line]
+
+    def _without_footer(self, lines: list[tuple[int, str]]) -> list[tuple[int, str]]:
+        """Omit lines of text below the table, with a warning."""
+        n_texts = len(list(takewhile(self._is_text, (line for _, line in reversed(lines[1:])))))
+        # The single last line is examined for truncation.
+        if n_texts < 2:
+            return lines
+        warn(f"{self._path}: the last {n_texts} lines are texts, and are not imported")
+        return lines[:-n_texts]
+
+    def _is_text(self, line: str) -> bool:
+        """Return whether a line does not begin with a number or a time."""
+        first = self._layout.cells[0] if self._layout.cells else 0
+        cells = split_cells(line, self._layout.delimiter)[first:][:1]
+        return any(parse_number(cell, self._layout.decimal_comma) is stamp_seconds(cell) is None for cell in cells)
 
     def _truncation_reason(self, line_number: int, line: str, lines_before: list[str]) -> str:
         """Return the reason why the last line is certainly truncated; an empty string if it may be complete."""

@@ -80,11 +80,11 @@ def format_interval(value: float, expanded: float) -> str:
     """Write a number with its expanded uncertainty, for a table whose header gives the unit.
 
     >>> format_interval(2.4213, 0.204), format_interval(935.21, float("inf")), format_interval(1.0, 0.0)
-    ('2.42 ± 0.20', '935.2 (unbounded)', '1')
+    ('2.42 ± 0.20', '935.2 (± unknown)', '1')
     """
     if expanded == 0.0:
         return round_to_bound(value, expanded)
-    return " ± ".join(_round_pair(value, expanded)) if isfinite(expanded) else f"{value:.4g} (unbounded)"
+    return " ± ".join(_round_pair(value, expanded)) if isfinite(expanded) else f"{value:.4g} (± unknown)"
 
 
 def _round_pair(value: float, expanded: float) -> tuple[str, str]:
@@ -130,10 +130,10 @@ def format_quantity(value: float, expanded: float, unit: str) -> str:
     """Write a number with expanded uncertainty and unit: (2.42 ± 0.20) %, so both have the unit.
 
     >>> format_quantity(2.4213, 0.204, "%"), format_quantity(935.21, float("inf"), "µm/N")
-    ('(2.42 ± 0.20) %', '935.2 µm/N (unbounded)')
+    ('(2.42 ± 0.20) %', '935.2 µm/N (± unknown)')
     """
     if not isfinite(expanded):
-        return f"{round_to_bound(value, expanded)} {unit} (unbounded)"
+        return f"{round_to_bound(value, expanded)} {unit} (± unknown)"
     return f"({' ± '.join(_round_pair(value, expanded))}) {unit}"
 
 

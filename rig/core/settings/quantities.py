@@ -41,6 +41,7 @@ inch = 0.0254 metre
 gram = [mass] = g
 tonne = 1e6 gram = t
 newton = kilogram * metre / second ** 2 = N
+pound_force = 4.4482216152605 newton = lbf
 pascal = newton / metre ** 2 = Pa
 joule = newton * metre = J
 watt = joule / second = W
@@ -127,8 +128,12 @@ _NUMBER = re.compile(
 _POWER = r"(?:(?:\^|\*\*)(?:-?\d|0\.5))?"
 _NAME = rf"[A-Za-zΩ]+{_POWER}"
 _JOIN = r"(?:\s*[*/]\s*|\s+)"
-_FACTOR = rf"(?:{_NAME}|\({_NAME}(?:{_JOIN}{_NAME})*\){_POWER})"
-_UNIT = re.compile(rf"(?:1\s*/\s*)?{_FACTOR}(?:{_JOIN}{_FACTOR})*")
+_PRODUCT = rf"(?:1\s*/\s*)?{_NAME}(?:{_JOIN}{_NAME})*"
+# Brackets of up to three levels: ``((m/s^2)/N)``.
+for _ in range(3):
+    _FACTOR = rf"(?:{_NAME}|\(\s*{_PRODUCT}\s*\){_POWER})"
+    _PRODUCT = rf"(?:1\s*/\s*)?{_FACTOR}(?:{_JOIN}{_FACTOR})*"
+_UNIT = re.compile(_PRODUCT)
 _SAMPLES_PER_SECOND = re.compile(r"^([kM]?)(?:(?:S|Sa|samples)/s|SPS)$")
 _GRAVITY = re.compile(r"(?<![A-Za-z])([num]?)g(?![A-Za-z])")
 

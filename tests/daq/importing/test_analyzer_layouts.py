@@ -74,6 +74,8 @@ def write(path: Path, heading: str, rows: np.ndarray, comma: bool = False) -> Pa
         ("Frequency\tMagnitude\tPhase\nHz\tdB(m/s²/N)\tdeg\n", DECIBELS, "response"),
         ("omega [rad/s]\tRe [m/s²/N]\tIm [m/s²/N]\n", REAL_IMAG * [2 * np.pi, 1.0, 1.0], "response"),
         ("Freq\tMag\tPhase\n(Hz)\t((m/s²)/N)\t(deg)\n", POLAR, "response"),
+        ("Frequency (Hz)\tFRF/AI2;AI1/Re (m/s²/N)\tFRF/AI2;AI1/Im (m/s²/N)\n", REAL_IMAG, "FRF/AI2;AI1"),
+        ("Freq\tMag\tPhase\nHz\t[m/s^2]/[N]\tdeg\n", POLAR, "response"),
         (
             "\tfrequency_Hz\ttip_real [m/s²/N]\ttip_imag [m/s²/N]\n",
             np.insert(REAL_IMAG, 0, np.arange(199), axis=1),
@@ -109,6 +111,16 @@ def test_dots_between_thousands_are_read(tmp_path: Path) -> None:
         np.testing.assert_array_equal(force.read(0, 19), 1000.0 * np.arange(1, 20) + 0.5)
 
 
+@pytest.mark.parametrize("lines", [slice(None), slice(4)])
+@pytest.mark.parametrize("step", [1.0, 4.0])
+def test_numbered_lines_may_be_uneven(lines: slice, step: float, tmp_path: Path) -> None:
+    rows = np.insert(REAL_IMAG, 0, np.arange(1, 200), axis=1)[lines]
+    rows[:, 1] = (step * rows[:, 1]) ** 1.3
+    curve = analysis.read_frfs(write(tmp_path / "a.txt", PULSE, rows))["H1 tip"]
+    np.testing.assert_allclose(curve.frequency, rows[:, 1])
+    np.testing.assert_allclose(curve.value, ACCELERANCE[lines], rtol=1e-6)
+
+
 def test_numbered_samples_have_their_clock(tmp_path: Path) -> None:
     heading = "Header Size:\t3\nTitle:\tforce\nX-AxisUnit:\ts\nAmplitudeUnit:\tN\n\n"
     rows = np.insert(SAMPLES[:, :2], 0, np.arange(1, 301), axis=1)
@@ -127,9 +139,11 @@ def test_unnamed_line_numbers_are_omitted(step: float, tmp_path: Path) -> None:
     np.testing.assert_allclose(curve.value, ACCELERANCE, rtol=1e-6)
 
 
-def test_adjacent_units_are_a_ratio(tmp_path: Path) -> None:
-    with pytest.warns(RunWarning, match=r"is read as \(m/s²\)/\(N\)"):
-        curve = analysis.read_frfs(write(tmp_path / "a.txt", SIGNALCALC_RATIO, REAL_IMAG))["response"]
+def test_unit_of_cross_spectrum_needs_unit(tmp_path: Path) -> None:
+    file = write(tmp_path / "a.txt", SIGNALCALC_RATIO, REAL_IMAG)
+    with pytest.raises(SceneError, match="not a cross spectrum, give its unit"):
+        analysis.read_frfs(file)
+    curve = analysis.read_frfs(file, unit="m/s^2/N")["response"]
     np.testing.assert_allclose(curve.value, ACCELERANCE, rtol=1e-6)
 
 
@@ -137,6 +151,26 @@ def test_units_below_names_need_no_brackets(tmp_path: Path) -> None:
     with ExitStack() as stack:
         signals = text_signals(write(tmp_path / "a.csv", "force\ttip\nN\tm/s^2\n", SAMPLES[:, 1:]), stack)
         assert [(each.name, each.unit) for each in signals] == [("force", "N"), ("tip", "m/s^2")]
+
+
+def test_lines_of_text_below_table_are_omitted(tmp_path: Path) -> None:
+    file = write(tmp_path / "a.csv", "Time (s)\tforce (N)\ttip (g)\n", SAMPLES)
+    file.write_text(file.read_text() + "End of data\nChecksum:\t3a7f\n")
+    with ExitStack() as stack, pytest.warns(RunWarning, match="the last 2 lines are texts"):
+        assert [signal.samples for signal in text_signals(file, stack)] == [300, 300]
+
+
+def test_short_names_are_no_units(tmp_path: Path) -> None:
+    with ExitStack() as stack:
+        signals = text_signals(write(tmp_path / "a.csv", "Rig\tBench\nA\tV\n", SAMPLES[:, 1:]), stack)
+        assert [signal.name for signal in signals] == ["A", "V"]
+
+
+@pytest.mark.filterwarnings("ignore:.*has no heading; its first column rises evenly")
+def test_even_signal_shows_no_line_numbers(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("".join(f"{k},{2.0 * k},{k**2 + 0.5}\n" for k in range(20)))
+    with ExitStack() as stack:
+        assert [signal.rate for signal in text_signals(tmp_path / "a.csv", stack)] == [None, None, None]
 
 
 def test_complex_numbers_need_frequencies(tmp_path: Path) -> None:

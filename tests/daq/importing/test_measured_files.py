@@ -93,4 +93,4 @@ def test_measured_hits_give_their_peaks(tmp_path: Path) -> None:
 def test_modes_of_other_programs_are_read(name: str, frequencies: int, points: str) -> None:
     modes = analysis.read_modes(file_of(name))
     assert modes.frequency.size == frequencies and any(points in response for response in modes.responses)
-    assert "unbounded" not in modes.summary() and "nan" not in modes.summary()
+    assert "unknown" not in modes.summary() and "nan" not in modes.summary()

@@ -583,7 +583,10 @@
       const width = printing ? PRINT_WIDTH : holder.clientWidth;
       if (width && (width !== plot.width || height() !== plot.height)) plot.setSize({ width, height: height() });
     }
-    for (const each of document.querySelectorAll(".wide")) each.classList.toggle("scrolls", each.scrollWidth > each.clientWidth + 1);
+    for (const each of document.querySelectorAll(".wide")) {
+      each.classList.remove("overflows");
+      each.classList.toggle("overflows", each.scrollWidth > each.clientWidth + 1);
+    }
   }
 
   document.querySelectorAll(".chart").forEach((holder, number) => {

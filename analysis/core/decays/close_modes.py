@@ -1,8 +1,8 @@
 """Frequencies of modes whose resonances form one peak in the spectrum of a free decay.
 
-Method: total least squares of a Hankel matrix (HTLS; S. Van Huffel et al., J. Magn. Reson. A 110 (1994) 228). Linear
-modes give the same poles at every sufficient order. The decay of one mode with a nonlinear damper is not the sum of a
-few exponentials, so its poles depend on the order.
+Method: poles of a signal from the singular vectors of its Hankel matrix (HSVD; H. Barkhuijsen, R. de Beer, D. van
+Ormondt, J. Magn. Reson. 73 (1987) 553). Linear modes give the same poles at every sufficient order. The decay of one
+mode with a nonlinear damper is not the sum of a few exponentials, so its poles depend on the order.
 """
 
 import numpy as np
@@ -23,10 +23,14 @@ _MIN_AMPLITUDE_RATIO = 0.03
 # Largest ratio of the residuals of the two fits for modes without a nonlinear damper. Tuned on the decays of the
 # bundled scenes: up to 1.2 without dampers, and 1.4 to 9 with dampers.
 _MAX_RESIDUAL_RATIO = 1.5
+# Smaller residuals, relative to the signal, are those of the transients of the band-pass; with dampers they are 6e-3.
+_MIN_RESIDUAL_RATIO = 1e-6
 # Largest ratio of the damping ratios of close modes. Poles of a decay with particle dampers differ by 6 or more.
 _MAX_DAMPING_RATIO = 4.0
 # Largest change of a frequency between the two fits, relative to the half-power half-width.
 _MAX_FREQUENCY_CHANGE = 0.1
+# Smallest ratio of successive samples of an exponential; smaller ones are rounding errors.
+_MIN_TURN = 1e-12
 
 
 def close_modes(baseband: ComplexArray, interval: float, max_offset: float) -> Array:
@@ -49,7 +53,8 @@ def close_modes(baseband: ComplexArray, interval: float, max_offset: float) -> A
     if not 2 <= poles.size <= _MAX_MODES or poles.size != other_poles.size:
         return np.empty(0)
     decay = -poles.real
-    is_linear = residual <= _MAX_RESIDUAL_RATIO * other_residual and decay.max() <= _MAX_DAMPING_RATIO * decay.min()
+    max_residual = max(_MAX_RESIDUAL_RATIO * other_residual, _MIN_RESIDUAL_RATIO * abs(signal).max())
+    is_linear = residual <= max_residual and decay.max() <= _MAX_DAMPING_RATIO * decay.min()
     change = abs(poles.imag - other_poles.imag)
     if not is_linear or np.any(change > _MAX_FREQUENCY_CHANGE * decay):
         return np.empty(0)
@@ -61,9 +66,9 @@ def _dominant_poles(signal: ComplexArray, order: int, max_angle: float) -> tuple
     rows = signal.size - signal.size // 3
     hankel = scipy.linalg.hankel(signal[:rows], signal[rows - 1 :])
     vectors = np.linalg.svd(hankel, full_matrices=False)[0][:, :order]
-    # The right singular vectors of the smallest singular values give the total least-squares solution.
-    right = np.linalg.svd(np.hstack([vectors[:-1], vectors[1:]]))[2].conj().T[:, order:]
-    poles = np.log(np.linalg.eigvals(-right[:order] @ np.linalg.inv(right[order:])))
+    turns = np.linalg.eigvals(np.linalg.lstsq(vectors[:-1], vectors[1:])[0])
+    # A signal of fewer exponentials than poles has turns of zero.
+    poles = np.log(np.where(abs(turns) > _MIN_TURN, turns, _MIN_TURN))
     exponentials = np.exp(np.outer(np.arange(signal.size), np.minimum(poles.real, 0.0) + 1j * poles.imag))
     amplitude = np.linalg.lstsq(exponentials, signal)[0]
     residual = float(np.sqrt(np.mean(abs(signal - exponentials @ amplitude) ** 2)))

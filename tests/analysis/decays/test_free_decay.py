@@ -10,6 +10,7 @@ import analysis
 import daq
 import rig
 from analysis.commands.cli import app
+from analysis.core.decays.close_modes import close_modes
 from analysis.core.decays.modal_decay import band_width, modal_decay, resolve_close_modes, spectral_peaks
 from analysis.core.decays.sensor_correction import correct_motion
 from analysis.core.recordings.slices import impact_ranges
@@ -94,6 +95,12 @@ def test_close_modes_are_separated_or_undetermined(tmp_path, coupling, is_determ
         assert not is_determined or abs(mode.frequency - frequency) < 3.0 * mode.frequency_std
         assert np.all(abs(mode.damping - damping) < 3.0 * mode.damping_std)
     assert sum("`analysis modes`" in text for text in decay.warnings) == (not is_determined)
+
+
+@pytest.mark.parametrize("amplitude", [0.0, 1.0])
+def test_signal_of_fewer_poles_has_no_close_modes(amplitude):
+    decay = amplitude * np.exp((-0.01 + 0.1j) * np.arange(200))
+    assert close_modes(decay, 1.0, 1.0).size == 0
 
 
 @pytest.mark.parametrize("noise", [1e-4, 1e-3, 1e-2])

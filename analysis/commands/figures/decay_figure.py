@@ -66,10 +66,11 @@ def decay_figure(decays: Sequence[Decay], title: str, styles: Sequence[CurveStyl
         envelope_axes.set_ylabel("envelope / (m/s²)")
         envelope_axes.set_xlabel("time / s")
         _draw_damping(figure, rows, modes, gravity, styles)
+        has_ring = any(np.isfinite(decay.quiet_from) for decay in decays)
         add_legend_below(
             figure, "Envelope at each instant: largest acceleration within half a period of the lowest mode on either "
                 "side.",
-            "Points: peaks; ring: from this time on, every sample is below 1 g.",
+            f"Points: peaks{'; ring: from this time on, every sample is below 1 g' * has_ring}.",
             "Dashed: square root of the backward-integrated (Schroeder) energy, scaled to the start of the envelope. "
             "Dotted: 1 g.",
             "Bands: 95 % intervals of the damping ratio; triangles: upper ends of those with zero." * bool(modes),

@@ -12,6 +12,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 from typer.testing import CliRunner
 
 import analysis
@@ -515,6 +516,15 @@ def test_decay_has_ring_at_the_stated_time(folder):
     _, peaks, ring, *_ = decay_figure([decay], "Free decay").axes[1].lines
     assert ring.get_xydata().tolist() == [[decay.quiet_from, decay.gravity]]
     np.testing.assert_array_equal(peaks.get_ydata(), decay.peak)
+
+
+@pytest.mark.parametrize(("gravity", "is_named"), [(9.81, True), (1e-12, False)])
+def test_caption_names_only_a_drawn_ring(folder, gravity, is_named):
+    with daq.open(folder / "hit.mcap") as rec:
+        decay = replace(analysis.decay(rec), gravity=gravity)
+    figure = decay_figure([decay], "Free decay")
+    texts = " ".join(text.get_text() for text in figure.findobj(Text))
+    assert ("ring" in texts) == is_named == bool(np.isfinite(decay.quiet_from))
 
 
 def test_damping_that_may_be_zero_is_a_limit(folder):

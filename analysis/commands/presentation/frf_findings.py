@@ -31,7 +31,7 @@ from analysis.core.recordings.names import (
     without_common_direction,
 )
 from analysis.core.responses.checks.curve_checks import find_jumps
-from analysis.core.responses.errors.systematic import side_errors, stated_tolerance, tolerance
+from analysis.core.responses.errors.systematic import side_errors, tolerance_text
 from analysis.core.responses.estimator import Blocks, estimator_of
 from analysis.core.responses.frequency_responses import frequency_responses
 from analysis.extras.formats.frf_files import is_frf_file
@@ -348,12 +348,11 @@ def stated_tolerances(rec: Recording, frfs: Sequence[Response]) -> list[str]:
     has_preset = False
     settings = {channel.name: channel.accelerometer or channel.hammer for channel in rec.scene.channels or ()}
     for name, info in rec.channels.items():
-        if limit := tolerance(rec, name):
+        if limit := tolerance_text(rec, name):
             source = preset_note(settings.get(name), "sensitivity_tolerance")
             has_preset |= bool(source)
             parts = "".join(f", {format_percent(part)} of it by {cause}" for cause, part in side_errors(info).items())
-            assumed = ", assumed" * (limit > stated_tolerance(info))
-            groups.setdefault(f"{format_percent(limit)}{assumed}{parts}{source}", []).append(name)
+            groups.setdefault(f"{limit}{parts}{source}", []).append(name)
     stated = "; ".join(f"{', '.join(names)} {text}" for text, names in groups.items())
     remark = (
         f"{rec.scene.name}: at most frequencies, the tolerance of the sensors ({stated}) is the largest "

@@ -21,15 +21,14 @@ from analysis.commands.report_page.measurements import (
 )
 from analysis.core.damper_motion.comparison import Peak, PeakChange
 from analysis.core.modal.modes import Modes
-from analysis.core.responses.errors.systematic import stated_tolerance, tolerance
+from analysis.core.responses.errors.systematic import tolerance_text
 from rig.core.base.escaping import escape_html
-from rig.core.results import format_number, format_percent
+from rig.core.results import format_number
 from rig.core.results.response import Response
 from rig.core.results.table import Table, join_tables, typeset
 
 if TYPE_CHECKING:
     from daq.core.recording.recording import Recording
-    from daq.core.signal_chain.channel import ChannelInfo
     from rig.core.scene.damper import Damper
     from rig.core.scene.scene import Scene
 
@@ -175,11 +174,6 @@ def test_sentence(scene: Scene) -> str:
     return "none" if scene.test is None else scene.test.sentence(scene.driven_shaker)
 
 
-def _tolerance_text(rec: Recording, info: ChannelInfo) -> str:
-    limit = tolerance(rec, info.name)
-    return f"± {format_percent(limit)}{', assumed' * (limit > stated_tolerance(info))}" if limit else "not stated"
-
-
 def settings(measurement: Measurement) -> str:
     """Return the tables of the test settings and of the channels, and the scene file, as HTML."""
     rec, scene = measurement.rec, measurement.rec.scene
@@ -205,7 +199,7 @@ def settings(measurement: Measurement) -> str:
             scene.structure.label(info.at),
             info.quantity,
             f"{info.sensitivity:.5g} V per {unit}",
-            _tolerance_text(rec, info),
+            f"± {limit}" if (limit := tolerance_text(rec, info.name)) else "not stated",
             "unlimited" if info.range is None else f"± {info.range / info.sensitivity:.4g} {unit}",
             f"{abs(complex(info.response(middle))):.4f}",
         )

@@ -25,7 +25,7 @@ _MIN_AMPLITUDE_RATIO = 0.03
 _MAX_RESIDUAL_RATIO = 1.5
 # Smaller residuals, relative to the signal, are those of the transients of the band-pass; with dampers they are 6e-3.
 _MIN_RESIDUAL_RATIO = 1e-6
-# Largest ratio of the damping ratios of close modes. Poles of a decay with particle dampers differ by 6 or more.
+# Largest ratio of the damping ratios of close modes. Poles of a decay with particle dampers differ by about 6 or more.
 _MAX_DAMPING_RATIO = 4.0
 # Largest change of a frequency between the two fits, relative to the half-power half-width.
 _MAX_FREQUENCY_CHANGE = 0.1

@@ -192,8 +192,8 @@ def decay(rec: Recording, channel: str | None = None, impact: int = 1, modes: in
     impact : int
         Number of the impact to analyze, counted from 1.
     modes : int, optional
-        Maximum number of modes; default: the number of bodies of the structure, and all modes with a peak in the
-        spectrum of an imported recording.
+        Maximum number of modes, where close modes with a common peak in the spectrum count as one; default: the number
+        of bodies of the structure, and all modes with a peak in an imported recording.
 
     Returns
     -------

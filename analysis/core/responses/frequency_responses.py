@@ -7,7 +7,7 @@ from analysis.core.recordings.names import takes_path
 from analysis.core.responses.checks.channel_changes import change_warnings, without_mean_delay
 from analysis.core.responses.checks.failed_channels import failed_channel_warnings
 from analysis.core.responses.checks.tone_steps import sweep_warnings
-from analysis.core.responses.errors.systematic import ASSUMED_TOLERANCE, stated_tolerance, tolerance
+from analysis.core.responses.errors.systematic import ASSUMED_TOLERANCE, has_assumed_tolerance
 from analysis.core.responses.estimator import Blocks, Request, estimator_of
 from analysis.core.responses.measurands import (
     default_reference,
@@ -111,7 +111,7 @@ def frequency_responses(
             f"{EXCLUDED_ALIASING} from above half the sample rate. Name the filter in the scene (converter.preset or "
             "converter.filter), and import again."
         )
-    if assumed := [name for name in used if tolerance(rec, name) > stated_tolerance(rec.channels[name])]:
+    if assumed := [name for name in used if has_assumed_tolerance(rec, name)]:
         warnings.append(
             f"{', '.join(assumed)}: imported, and the scene states no sensitivity_tolerance. The uncertainty assumes "
             f"sensors calibrated within {format_percent(ASSUMED_TOLERANCE)}. State the tolerance in the scene, and "

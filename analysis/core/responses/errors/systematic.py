@@ -15,6 +15,7 @@ import numpy as np
 from daq.core.recording.recording import Recording
 from daq.core.signal_chain.channel import ChannelInfo
 from rig.core.base.arrays import Array, ComplexArray
+from rig.core.results import format_percent
 from rig.core.results.response import MOTIONS
 from rig.core.results.uncertainty import CLOCK, COVERAGE_FACTOR, SENSITIVITY, Sources
 from rig.core.settings.quantities import PER_KELVIN, RATIO, TEMPERATURE, Kind, parse
@@ -92,10 +93,21 @@ def _setting(info: ChannelInfo, name: str, kind: Kind, default: float = 0.0) -> 
 
 
 def tolerance(rec: Recording, name: str) -> float:
-    """Return a channel's `stated_tolerance`, or `ASSUMED_TOLERANCE` more if another instrument's sensor states none."""
+    """Return a channel's `stated_tolerance`, or `ASSUMED_TOLERANCE` more if the tolerance of its sensor is assumed."""
+    return stated_tolerance(rec.channels[name]) + (ASSUMED_TOLERANCE if has_assumed_tolerance(rec, name) else 0.0)
+
+
+def has_assumed_tolerance(rec: Recording, name: str) -> bool:
+    """Return whether a channel has a sensor of another instrument without a stated tolerance."""
     info = rec.channels[name]
     is_stated = any(key.endswith(".sensitivity_tolerance") for key in info.sensor) or info.quantity == "voltage"
-    return stated_tolerance(info) + (0.0 if is_stated or not rec.source else ASSUMED_TOLERANCE)
+    return bool(rec.source) and not is_stated
+
+
+def tolerance_text(rec: Recording, name: str) -> str:
+    """Write the `tolerance` of a channel, such as "1 %, assumed"; empty without a tolerance."""
+    limit = tolerance(rec, name)
+    return f"{format_percent(limit)}{', assumed' * has_assumed_tolerance(rec, name)}" if limit else ""
 
 
 def sensitivity_limit(rec: Recording, contributions: ChannelContributions) -> dict[str, Array]:

@@ -1,12 +1,15 @@
-"""Frequencies of modes whose resonances form one peak in the spectrum of a free decay.
+"""Modes whose resonances form one peak in the spectrum of a free decay.
 
 Method: poles of a signal from the singular vectors of its Hankel matrix (HSVD; H. Barkhuijsen, R. de Beer, D. van
 Ormondt, J. Magn. Reson. 73 (1987) 553). Linear modes give the same poles at every sufficient order. The decay of one
 mode with a nonlinear damper is not the sum of a few exponentials, so its poles depend on the order.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 import scipy
+from numpy.typing import NDArray
 
 from rig.core.base.arrays import Array, ComplexArray
 
@@ -17,8 +20,8 @@ _MAX_MODES = 3
 _MIN_SAMPLES = 36
 # The first samples of the signal suffice: the singular value decomposition takes 0.1 s for this number.
 _MAX_SAMPLES = 600
-# Smallest amplitude of a mode relative to the largest one. Tuned on linear structures: transients of the band-pass and
-# distant modes remain below 1 %.
+# Smallest amplitude of a mode with a decay of its own, relative to the largest one. Tuned on linear structures:
+# transients of the band-pass and distant modes remain below 1 %.
 _MIN_AMPLITUDE_RATIO = 0.03
 # Largest ratio of the residuals of the two fits for modes without a nonlinear damper. Tuned on the decays of the
 # bundled scenes: up to 1.2 without dampers, and 1.4 to 9 with dampers.
@@ -33,36 +36,48 @@ _MAX_FREQUENCY_CHANGE = 0.1
 _MIN_TURN = 1e-12
 
 
-def close_modes(baseband: ComplexArray, interval: float, max_offset: float) -> Array:
-    """Return the frequencies of two or three close modes relative to the center of a band [Hz]; empty for one mode.
+@dataclass(frozen=True)
+class Poles:
+    """Decaying exponentials of which a band of a linear free decay consists; none if the decay is not linear."""
 
-    Parameters
-    ----------
-    baseband : ndarray, shape (n,)
-        Free decay after a band-pass, with the center of the band at 0 Hz.
-    interval : float
-        Sample interval [s].
-    max_offset : float
-        Largest distance of the modes from the center of the band [Hz].
+    rate: ComplexArray  # relative to the center of the band, shape (n,) [rad per sample]
+    amplitude: Array  # at the first sample, shape (n,) [unit of the signal]
+    is_mode: NDArray[np.bool_]  # modes with decays of their own: two, three or none, shape (n,)
+    residual: float  # rms of the signal minus the exponentials [unit of the signal]
+
+
+_NO_POLES = Poles(np.empty(0, dtype=complex), np.empty(0), np.empty(0, dtype=bool), 0.0)
+
+
+def close_poles(baseband: ComplexArray, max_angle: float) -> Poles:
+    """Return the poles of a free decay after a band-pass, with the center of the band at 0 Hz.
+
+    `max_angle`: largest angular frequency of a pole relative to the center of the band [rad per sample].
     """
     signal = baseband[:_MAX_SAMPLES]
     if signal.size < _MIN_SAMPLES:
-        return np.empty(0)
-    fits = [_dominant_poles(signal, order, 2.0 * np.pi * interval * max_offset) for order in _ORDERS]
-    (poles, residual), (other_poles, other_residual) = fits
-    if not 2 <= poles.size <= _MAX_MODES or poles.size != other_poles.size:
-        return np.empty(0)
-    decay = -poles.real
+        return _NO_POLES
+    fits = [_decaying_poles(signal, order, max_angle) for order in _ORDERS]
+    (rate, amplitude, residual), (other_rate, other_amplitude, other_residual) = fits
     max_residual = max(_MAX_RESIDUAL_RATIO * other_residual, _MIN_RESIDUAL_RATIO * abs(signal).max())
-    is_linear = residual <= max_residual and decay.max() <= _MAX_DAMPING_RATIO * decay.min()
-    change = abs(poles.imag - other_poles.imag)
-    if not is_linear or np.any(change > _MAX_FREQUENCY_CHANGE * decay):
-        return np.empty(0)
-    return np.asarray(poles.imag / (2.0 * np.pi * interval))
+    if residual > max_residual or not other_rate.size:
+        return _NO_POLES
+    change = abs(rate.imag[:, None] - other_rate.imag).min(axis=1)
+    is_stable = change <= _MAX_FREQUENCY_CHANGE * -rate.real
+    is_large = amplitude >= _MIN_AMPLITUDE_RATIO * amplitude.max(initial=0.0)
+    other_is_large = other_amplitude >= _MIN_AMPLITUDE_RATIO * other_amplitude.max()
+    decay_rate = -rate.real[is_large]
+    are_modes = (
+        2 <= decay_rate.size <= _MAX_MODES
+        and decay_rate.size == other_is_large.sum()
+        and is_stable[is_large].all()
+        and decay_rate.max() <= _MAX_DAMPING_RATIO * decay_rate.min()
+    )
+    return Poles(rate[is_stable], amplitude[is_stable], np.asarray(is_large & are_modes)[is_stable], residual)
 
 
-def _dominant_poles(signal: ComplexArray, order: int, max_angle: float) -> tuple[ComplexArray, float]:
-    """Fit a sum of exponentials; return decaying poles of large amplitude, by frequency, and the rms residual."""
+def _decaying_poles(signal: ComplexArray, order: int, max_angle: float) -> tuple[ComplexArray, Array, float]:
+    """Fit a sum of exponentials; return decaying poles and their amplitudes, by frequency, and the rms residual."""
     rows = signal.size - signal.size // 3
     hankel = scipy.linalg.hankel(signal[:rows], signal[rows - 1 :])
     vectors = np.linalg.svd(hankel, full_matrices=False)[0][:, :order]
@@ -72,7 +87,7 @@ def _dominant_poles(signal: ComplexArray, order: int, max_angle: float) -> tuple
     exponentials = np.exp(np.outer(np.arange(signal.size), np.minimum(poles.real, 0.0) + 1j * poles.imag))
     amplitude = np.linalg.lstsq(exponentials, signal)[0]
     residual = float(np.sqrt(np.mean(abs(signal - exponentials @ amplitude) ** 2)))
-    inside = (poles.real < 0.0) & (abs(poles.imag) <= max_angle)
     # Poles of noise have smaller amplitudes than the residual.
-    dominant = inside & (abs(amplitude) >= max(_MIN_AMPLITUDE_RATIO * abs(amplitude).max(), residual))
-    return poles[dominant][np.argsort(poles[dominant].imag)], residual
+    kept = np.flatnonzero((poles.real < 0.0) & (abs(poles.imag) <= max_angle) & (abs(amplitude) >= residual))
+    kept = kept[np.argsort(poles.imag[kept])]
+    return poles[kept], np.abs(amplitude[kept]), residual

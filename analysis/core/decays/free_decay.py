@@ -10,13 +10,9 @@ from typing import Any
 import numpy as np
 import scipy
 
-from analysis.core.decays.modal_decay import (
-    ModalDecay,
-    band_width,
-    modal_decay,
-    resolve_close_modes,
-    spectral_peaks,
-)
+from analysis.core.decays.band_pass import band_width
+from analysis.core.decays.modal_decay import ModalDecay, modal_decay, spectral_peaks
+from analysis.core.decays.overlap import resolve_close_modes
 from analysis.core.decays.sensor_correction import correct_motion
 from analysis.core.recordings.channel_delay import arrival
 from analysis.core.recordings.names import takes_path
@@ -222,12 +218,15 @@ def decay(rec: Recording, channel: str | None = None, impact: int = 1, modes: in
     highest_mode = min(highest_mode, upper_limit)
     peak_frequencies = spectral_peaks(acceleration[begin:], rec.rate, max_modes, lowest_mode, highest_mode)
     clock = clock_deviation(rec)
-    frequencies = resolve_close_modes(acceleration, rec.rate, peak_frequencies, begin)
+    frequencies, overlaps = resolve_close_modes(acceleration, rec.rate, peak_frequencies, begin)
     decays = tuple(
-        modal_decay(acceleration, rec.rate, float(f), band_width(frequencies, i), begin, clock=clock)
+        modal_decay(
+            acceleration, rec.rate, float(f), band_width(frequencies, i), begin, clock=clock, overlap=overlaps[i]
+        )
         for i, f in enumerate(frequencies)
     )
-    close = [each for each in decays if each.center not in peak_frequencies and not each.damping.size]
+    pairs = zip(decays, overlaps, strict=True)
+    close = [each for each, overlap in pairs if overlap.is_close and not each.damping.size]
     if close:
         listed = ", ".join(f"{each.center:.4g}" for each in close)
         warnings.append(

@@ -7,7 +7,8 @@ import numpy as np
 import scipy
 from scipy import fft
 
-from analysis.core.decays.close_modes import close_modes
+from analysis.core.decays.band_pass import band_pass
+from analysis.core.decays.overlap import NO_OVERLAP, Overlap
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.figure_types import Axes
 from rig.core.base.renamed import renamed
@@ -164,36 +165,6 @@ def spectral_peaks(acceleration: Array, rate: float, max_peaks: int | None, low:
     return frequency[indices] + shift * (frequency[1] - frequency[0])
 
 
-def resolve_close_modes(acceleration: Array, rate: float, frequencies: Array, begin: int) -> Array:
-    """Replace each peak that consists of several linear modes by their frequencies [Hz].
-
-    `acceleration`, m/s², from before the impact; `frequencies`: peaks of the spectrum, ascending; `begin`: sample at
-    which the free decay begins.
-    """
-    resolved: list[float] = []
-    for index, frequency in enumerate(frequencies):
-        width = band_width(frequencies, index)
-        analytic, affected = _band_pass(acceleration, rate, frequency, width)
-        step = max(1, int(rate / (8.0 * width)))
-        # The transients of the band-pass decay below 1e-7 within twice the affected samples.
-        decay = analytic[begin + 2 * affected : max(acceleration.size - 2 * affected, 0)][::step]
-        baseband = decay * np.exp(-2j * np.pi * frequency * step / rate * np.arange(decay.size))
-        offsets = close_modes(baseband, step / rate, 2.0 * width)
-        resolved += (frequency + offsets).tolist() or [float(frequency)]
-    return np.array(resolved)
-
-
-def band_width(frequencies: Array, index: int) -> float:
-    """Return the standard deviation of the Gaussian band-pass for one of several modes [Hz].
-
-    The width is a quarter of the distance to the nearest other mode, which attenuates that mode by a factor of exp(-8),
-    and at most a quarter of the natural frequency.
-    """
-    others = np.delete(frequencies, index)
-    nearest = np.min(abs(others - frequencies[index])) if others.size else np.inf
-    return float(min(nearest, frequencies[index]) / 4.0)
-
-
 def modal_decay(
     acceleration: Array,  # m/s², from before the impact
     rate: float,
@@ -202,6 +173,7 @@ def modal_decay(
     begin: int,  # sample at which the free decay begins
     amplitudes: Array | None = None,  # m/s²; omitted: every 1.5 dB down to the noise
     clock: float = 0.0,  # limit of the relative error of the sample rate
+    overlap: Overlap = NO_OVERLAP,
 ) -> ModalDecay:
     """Estimate the envelope of one mode, and its damping ratio as a function of amplitude.
 
@@ -210,11 +182,11 @@ def modal_decay(
     deviations of the impulse response after the impact. The damping ratio at an amplitude is the slope of the logarithm
     of the envelope while it falls by 6 dB around that amplitude.
     """
-    analytic, affected = _band_pass(acceleration, rate, frequency, width)
+    analytic, affected = band_pass(acceleration, rate, frequency, width)
     envelope = np.abs(analytic)
     time = (np.arange(acceleration.size) - begin) / rate
     usable = slice(begin + affected, max(acceleration.size - affected, begin + affected))
-    noise = _noise(analytic[usable], rate, frequency, width)
+    noise = max(_noise(analytic[usable], rate, frequency, width), overlap.noise)
     log_amplitudes = _log_amplitudes(envelope[usable]) if amplitudes is None else np.log(amplitudes)
     damping, natural, slope_change_limit = _damping(analytic[usable], log_amplitudes, _HALF_FALL_NEPERS)
     # Half of the noise power is in phase and changes the envelope, independently at both ends of the fall.
@@ -222,7 +194,7 @@ def modal_decay(
     noise_of_fall = np.hypot(np.exp(-_HALF_FALL_NEPERS), np.exp(_HALF_FALL_NEPERS)) * noise / np.sqrt(2.0)
     # Relative uncertainty of the damping ratio.
     noise_uncertainty = noise_of_fall / amplitude / (2.0 * _HALF_FALL_NEPERS)
-    narrower, affected = _band_pass(acceleration, rate, frequency, width / _RESPONSE_RATIO)
+    narrower, affected = band_pass(acceleration, rate, frequency, width / _RESPONSE_RATIO)
     narrower = narrower[begin + affected : max(acceleration.size - affected, begin + affected)]
     damping_narrower, natural_narrower, _ = _damping(narrower, log_amplitudes, _HALF_FALL_NEPERS)
     damping_larger_fall, natural_larger_fall, _ = _damping(
@@ -239,9 +211,16 @@ def modal_decay(
     if np.isfinite(natural_narrower - natural).any() and np.isfinite(natural_larger_fall - natural).any():
         natural_bias = _bias_limit(natural, natural_narrower, natural_larger_fall, np.zeros(natural.size))
     natural_uncertainty = np.hypot(np.hypot(noise_uncertainty * damping, 0.5 * clock) * natural, 0.5 * natural_bias)
+    first, last = _fall(envelope[usable], log_amplitudes, _HALF_FALL_NEPERS)
+    rate_error, frequency_error = overlap.rate_errors(amplitude, usable.start + first, usable.start + last)
+    uncertainty, natural_uncertainty = (
+        np.hypot(uncertainty, 0.5 * rate_error / natural),
+        np.hypot(natural_uncertainty, 0.5 * frequency_error),
+    )
     reported = np.ones(log_amplitudes.size, dtype=bool)
     if amplitudes is None:
         reported = np.isfinite(damping) & (damping > 0) & (noise_uncertainty < MAX_RELATIVE_UNCERTAINTY)
+        reported &= 0.5 * rate_error < MAX_RELATIVE_UNCERTAINTY * natural * damping
     to_hz = rate / (2.0 * np.pi)  # converts rad per sample to Hz
     natural, natural_uncertainty = to_hz * natural[reported], to_hz * natural_uncertainty[reported]
     # At small amplitudes an unresolved neighboring mode with less damping may dominate; its frequency is rejected.
@@ -254,15 +233,6 @@ def modal_decay(
         *frequency_estimate, frequency, time[begin:], envelope[begin:], noise,
         amplitude[reported], damping[reported], uncertainty[reported], bias[reported], natural, natural_uncertainty,
     )  # fmt: skip
-
-
-def _band_pass(acceleration: Array, rate: float, frequency: float, width: float) -> tuple[ComplexArray, int]:
-    """Return the analytic signal after a Gaussian band-pass, and the number of samples that each end affects."""
-    padded_length = fft.next_fast_len(acceleration.size + int(8 * rate / (2 * np.pi * width)))
-    spectrum = fft.fft(acceleration, padded_length)
-    bins = fft.fftfreq(padded_length, 1.0 / rate)
-    spectrum *= np.where(bins > 0, 2.0 * np.exp(-0.5 * ((bins - frequency) / width) ** 2), 0.0)
-    return fft.ifft(spectrum)[: acceleration.size], int(np.ceil(3.0 * rate / (2 * np.pi * width)))
 
 
 def _noise(analytic: ComplexArray, rate: float, frequency: float, width: float) -> float:
@@ -297,18 +267,22 @@ def _log_amplitudes(envelope: Array) -> Array:
     )
 
 
+def _fall(envelope: Array, log_amplitudes: Array, half_fall: float) -> tuple[Array, Array]:
+    """Return the samples between which the envelope falls around each amplitude; NaN outside the decay."""
+    if envelope.size < 8 or envelope.max() <= 0:
+        return np.full(log_amplitudes.size, np.nan), np.full(log_amplitudes.size, np.nan)
+    log_envelope = _log_decay_envelope(envelope)
+    return _crossings(log_envelope, log_amplitudes + half_fall), _crossings(log_envelope, log_amplitudes - half_fall)
+
+
 def _damping(analytic: ComplexArray, log_amplitudes: Array, half_fall: float) -> tuple[Array, Array, Array]:
     """Return damping ratio, natural frequency [rad/sample] (NaN outside the decay), and error due to a slope change."""
     # They are estimated from the fall of the envelope by `half_fall` nepers on either side of that amplitude.
     envelope = np.abs(analytic)
-    if envelope.size < 8 or envelope.max() <= 0:
+    first, last = _fall(envelope, log_amplitudes, half_fall)
+    if not np.isfinite(last - first).any():
         undetermined = np.full(log_amplitudes.size, np.nan)
         return undetermined, undetermined, np.zeros(log_amplitudes.size)
-    log_envelope = _log_decay_envelope(envelope)
-    first, last = (
-        _crossings(log_envelope, log_amplitudes + half_fall),
-        _crossings(log_envelope, log_amplitudes - half_fall),
-    )
     logarithm, phase = np.log(np.maximum(envelope, 1e-300)), np.unwrap(np.angle(analytic))
     sample = np.arange(envelope.size)
     phase_change = np.interp(last, sample, phase) - np.interp(first, sample, phase)

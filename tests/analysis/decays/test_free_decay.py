@@ -10,8 +10,10 @@ import analysis
 import daq
 import rig
 from analysis.commands.cli import app
-from analysis.core.decays.close_modes import close_modes
-from analysis.core.decays.modal_decay import band_width, modal_decay, resolve_close_modes, spectral_peaks
+from analysis.core.decays.band_pass import band_width
+from analysis.core.decays.close_modes import close_poles
+from analysis.core.decays.modal_decay import modal_decay, spectral_peaks
+from analysis.core.decays.overlap import resolve_close_modes
 from analysis.core.decays.sensor_correction import correct_motion
 from analysis.core.recordings.slices import impact_ranges
 from daq.core.signal_chain.channel import ChannelInfo
@@ -97,10 +99,36 @@ def test_close_modes_are_separated_or_undetermined(tmp_path, coupling, is_determ
     assert sum("`analysis modes`" in text for text in decay.warnings) == (not is_determined)
 
 
+def two_modes(weak, separation, ratios, noise=0.0):
+    """Return a decay of two modes at 40 Hz and above with amplitudes 1 and `weak`, and the first sample and rate."""
+    rate, begin = 1280.0, 640
+    time = np.arange(6 * int(rate)) / rate
+    natural = 40.0 + np.array([0.0, separation])
+    decay = np.exp(2 * np.pi * natural * (1j * np.sqrt(1 - np.square(ratios)) - ratios) * time[:, None]) @ [1.0, weak]
+    random = noise * np.random.default_rng(4).standard_normal(begin + time.size)
+    return np.append(np.zeros(begin), decay.real) + random, begin, rate
+
+
+@pytest.mark.parametrize("weak", [0.003, 0.01, 0.025])
+@pytest.mark.parametrize("ratios", [(0.006, 0.004), (0.004, 0.006), (0.008, 0.0012)])
+@pytest.mark.parametrize("separation", [0.2, 0.5, 1.5])
+def test_weak_close_mode_is_in_bounds(weak, ratios, separation):
+    signal, begin, rate = two_modes(weak, separation, ratios, noise=1e-5)
+    peaks = spectral_peaks(signal[begin:], rate, 1, 2.0, 200.0)
+    frequencies, overlaps = resolve_close_modes(signal, rate, peaks, begin)
+    for index, (frequency, overlap) in enumerate(zip(frequencies, overlaps, strict=True)):
+        width = band_width(frequencies, index)
+        mode = modal_decay(signal, rate, frequency, width, begin, overlap=overlap)
+        own = int(abs(frequency - 40.0) > 0.5 * separation)
+        assert mode.damping.size or overlap.is_close
+        assert np.all(abs(mode.damping - ratios[own]) < 3.0 * mode.damping_std)
+        assert not abs(mode.frequency - 40.0 - own * separation) > 3.0 * mode.frequency_std
+
+
 @pytest.mark.parametrize("amplitude", [0.0, 1.0])
 def test_signal_of_fewer_poles_has_no_close_modes(amplitude):
     decay = amplitude * np.exp((-0.01 + 0.1j) * np.arange(200))
-    assert close_modes(decay, 1.0, 1.0).size == 0
+    assert not close_poles(decay, 1.0).is_mode.any()
 
 
 @pytest.mark.parametrize("noise", [1e-4, 1e-3, 1e-2])
@@ -111,7 +139,7 @@ def test_single_modes_are_not_split(noise):
         frequency, ratio = rng.uniform(12.0, 120.0), np.exp(rng.uniform(np.log(0.002), np.log(0.03)))
         decay = np.exp((-ratio + 1j) * 2 * np.pi * frequency * time).real
         signal = np.append(np.zeros(begin), decay) + noise * rng.standard_normal(begin + decay.size)
-        [resolved] = resolve_close_modes(signal, rate, spectral_peaks(signal[begin:], rate, 1, 2.0, 200.0), begin)
+        ([resolved], _) = resolve_close_modes(signal, rate, spectral_peaks(signal[begin:], rate, 1, 2.0, 200.0), begin)
         assert resolved == pytest.approx(frequency, rel=0.02)
 
 

@@ -13,7 +13,7 @@ import scipy
 from analysis.core.decays.band_pass import band_width
 from analysis.core.decays.modal_decay import ModalDecay, modal_decay, spectral_peaks
 from analysis.core.decays.overlap import resolve_close_modes
-from analysis.core.decays.sensor_correction import correct_motion
+from analysis.core.decays.sensor_correction import correct_motion, rounding_error
 from analysis.core.recordings.channel_delay import arrival
 from analysis.core.recordings.names import takes_path
 from analysis.core.recordings.slices import impact_ranges, interpolated
@@ -216,14 +216,25 @@ def decay(rec: Recording, channel: str | None = None, impact: int = 1, modes: in
     acceleration = correct_motion(info, samples, "acceleration", lowest_mode, upper_limit)
     acceleration, begin = acceleration[: decay_stop - read_start], decay_start - read_start
     highest_mode = min(highest_mode, upper_limit)
-    peak_frequencies = spectral_peaks(acceleration[begin:], rec.rate, max_modes, lowest_mode, highest_mode)
+    # After its last change a reading contains no motion, and the filters' responses would be taken for a decay.
+    last_change = int(np.flatnonzero(np.diff(samples))[-1]) + 1
+    recorded = acceleration[: max(last_change + 1, begin + _MIN_SAMPLES)]
+    peak_frequencies = spectral_peaks(recorded[begin:], rec.rate, max_modes, lowest_mode, highest_mode)
     clock = clock_deviation(rec)
-    frequencies, overlaps = resolve_close_modes(acceleration, rec.rate, peak_frequencies, begin)
+    frequencies, overlaps = resolve_close_modes(recorded, rec.rate, peak_frequencies, begin)
+    rounding = rounding_error(info, frequencies, "acceleration")
     decays = tuple(
         modal_decay(
-            acceleration, rec.rate, float(f), band_width(frequencies, i), begin, clock=clock, overlap=overlaps[i]
+            recorded,
+            rec.rate,
+            float(frequency),
+            band_width(frequencies, index),
+            begin,
+            clock=clock,
+            overlap=overlaps[index],
+            rounding=float(rounding[index]),
         )
-        for i, f in enumerate(frequencies)
+        for index, frequency in enumerate(frequencies)
     )
     pairs = zip(decays, overlaps, strict=True)
     close = [each for each, overlap in pairs if overlap.is_close and not each.damping.size]

@@ -174,6 +174,7 @@ def modal_decay(
     amplitudes: Array | None = None,  # m/s²; omitted: every 1.5 dB down to the noise
     clock: float = 0.0,  # limit of the relative error of the sample rate
     overlap: Overlap = NO_OVERLAP,
+    rounding: float = 0.0,  # rms error of the acceleration due to rounding to counts [m/s²]
 ) -> ModalDecay:
     """Estimate the envelope of one mode, and its damping ratio as a function of amplitude.
 
@@ -186,7 +187,9 @@ def modal_decay(
     envelope = np.abs(analytic)
     time = (np.arange(acceleration.size) - begin) / rate
     usable = slice(begin + affected, max(acceleration.size - affected, begin + affected))
-    noise = max(_noise(analytic[usable], rate, frequency, width), overlap.noise)
+    # Rounding errors have equal power at all frequencies up to half the sample rate.
+    rounding_in_band = 2.0 * rounding * np.sqrt(np.sqrt(np.pi) * width / rate)
+    noise = max(_noise(analytic[usable], rate, frequency, width), overlap.noise, rounding_in_band)
     log_amplitudes = _log_amplitudes(envelope[usable]) if amplitudes is None else np.log(amplitudes)
     damping, natural, slope_change_limit = _damping(analytic[usable], log_amplitudes, _HALF_FALL_NEPERS)
     # Half of the noise power is in phase and changes the envelope, independently at both ends of the fall.

@@ -32,6 +32,14 @@ def correct_motion(info: ChannelInfo, samples: Array, motion: str, low: float, h
     return _filtered(info, spectrum, size, order, low, high)[count - 1 : 2 * count - 1].copy()
 
 
+def rounding_error(info: ChannelInfo, frequency: Array, motion: str) -> Array:
+    """Return the rms error of a motion due to rounding of the readings to counts, at frequencies in Hz [SI]."""
+    if info.volts_per_count is None:
+        return np.zeros(frequency.size)
+    conversion = (2.0 * np.pi * frequency) ** _derivative_order(info, motion)
+    return np.asarray(info.unit_per_count / np.sqrt(12.0) * abs(conversion / info.response(frequency)))
+
+
 def corrected_pieces(
     info: ChannelInfo,
     read: Callable[[int, int], Array],

@@ -125,6 +125,26 @@ def test_weak_close_mode_is_in_bounds(weak, ratios, separation):
         assert not abs(mode.frequency - 40.0 - own * separation) > 3.0 * mode.frequency_std
 
 
+FEW_COUNTS = """
+structure: {{masses: [2 kg, 3 kg], springs: [20 kN/m, 30 kN/m], damping: {{modal: 1 %}}}}
+test: {{kind: impulse, body: 1, peak: {peak} N, width: 3 ms, repeats: 1, interval: 5 s}}
+channels:
+- {{name: h, at: hammer, hammer: {{sensitivity: 1 mV/N}}}}
+- {{name: a2, at: body 2, accelerometer: {{sensitivity: 100 mV/g}}}}
+converter: {{rate: 2 kHz, bits: 12, range: 10 V}}
+"""
+
+
+@pytest.mark.parametrize("peak", [8, 30, 100, 300, 1000])
+def test_few_counts_do_not_bias_damping(tmp_path, peak):
+    """The reading is constant after the motion falls below half a count of 0.5 m/s²."""
+    decay = analysis.decay(daq.record(rig.loads(FEW_COUNTS.format(peak=peak)), tmp_path / "a.mcap"), "a2")
+    for mode in decay.modes:
+        assert np.all(abs(mode.damping - 0.01) < 3.0 * mode.damping_std)
+        assert mode.noise > 0.01
+    assert sum(mode.damping.size for mode in decay.modes) >= (3 if peak > 50 else 0)
+
+
 @pytest.mark.parametrize("amplitude", [0.0, 1.0])
 def test_signal_of_fewer_poles_has_no_close_modes(amplitude):
     decay = amplitude * np.exp((-0.01 + 0.1j) * np.arange(200))

@@ -114,8 +114,9 @@ class ProfileCheck(Result):
 
     @property
     def deviation(self) -> Array:
-        """Control relative to the profile [dB]."""
-        return self._decibels * np.log10(self.control / self.profile)
+        """Control relative to the profile [dB]; -inf where the control channels read nothing."""
+        with np.errstate(divide="ignore"):
+            return self._decibels * np.log10(self.control / self.profile)
 
     def excess(self, level: Level) -> Array:
         """Return a limited channel relative to its limit [dB]; NaN where there is no limit."""

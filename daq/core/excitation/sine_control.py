@@ -204,6 +204,17 @@ class SineSweep:
             )
 
 
+def check_control(test: SineControl, at_start: Observation) -> None:
+    """Abort if the control channels are far below the profile at the start, though nothing limits the drive."""
+    if at_start.limiting < 0 and at_start.deviation < -test.abort:
+        names = " and ".join(test.control.channels)
+        raise AbortedTest(
+            f"aborted at {format_decimals(at_start.frequency, 1)} Hz: after {_MAX_START_S:g} s of control, {names} is "
+            f"more than {test.abort:g} dB below the profile. Check that the sensor is connected, and that the profile "
+            "exceeds a count of the converter: use a more sensitive sensor or a smaller range."
+        )
+
+
 def _identification_seconds(test: SineControl) -> float:
     """Return the period of the identification [s]."""
     return max(_IDENTIFICATION_S, _IDENTIFICATION_PERIODS / test.band[0])
@@ -247,13 +258,15 @@ class SineControlProcedure(SweepProcedure["SineControl"]):
         rise = -(-station.samples(_RISE_S) // samples)
         for k in range(rise):
             yield from sweep.window(samples, test.from_, target * (k + 1) / rise)
-        settled_windows = 0
+        settled_windows, at_start = 0, None
         while settled_windows < _START_WINDOWS and station.now < first + station.samples(_MAX_START_S):
             station.report(0.0, f"settling at {format_decimals(test.from_, 2)} Hz")
             at_start = yield from sweep.step(test.from_, samples)
             reached = at_start is not None and (at_start.limiting >= 0 or abs(at_start.deviation) < _START_DB)
             settled_windows = settled_windows + 1 if reached else 0
         station.mark("settle", first, station.now, frequency=test.from_, settled=settled_windows >= _START_WINDOWS)
+        if at_start is not None and settled_windows < _START_WINDOWS and not sweep.limited:
+            check_control(test, at_start)
         first = station.now
         try:
             while sweep.completed < sweep.total:

@@ -1,6 +1,7 @@
 """Sine tests with profile control: control law, profile and limits on the bench, and messages."""
 
 import re
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,8 @@ import daq
 import rig
 from analysis.commands.cli import app
 from daq.core.excitation.profiles.profile_checks import loop_gain
-from daq.core.excitation.sine_control import Caution, limited_error
+from daq.core.excitation.sine_control import Caution, Observation, check_control, limited_error
+from daq.core.excitation.station import AbortedTest
 from rig.core.base.errors import SceneError
 from tests.daq.excitation.virtual_device import run_device
 from tests.daq.measurement.bench_run import run
@@ -165,6 +167,13 @@ def test_excess_aborts_with_zero_drive() -> None:
     result = run(scene(control={"channels": ["unit"]}, duration="5 s"))
     assert "aborted at" in result.reason and "dB above the profile. Sweep more slowly, or add a limit" in result.reason
     assert not result.drives[-1][:, -1].any() and result.drives[-1].shape[1] < 51
+
+
+@pytest.mark.parametrize(("deviation", "limiting", "aborts"), [(-240, -1, True), (-7, 0, False), (-5, -1, False)])
+def test_control_far_below_profile_aborts(deviation: float, limiting: int, aborts: bool) -> None:
+    """At -240 dB, the readings of the control channel are below half a count."""
+    with pytest.raises(AbortedTest, match="table is more than 6 dB below") if aborts else nullcontext():
+        check_control(scene().test, Observation(0, 100, 5.0, deviation, limiting))
 
 
 def test_too_high_profile_leaves_zero_drive() -> None:

@@ -33,6 +33,7 @@ KINDS = (
     "tone_dampers",
     "steps_dampers",
     "decay_dampers",
+    "decay_linear",
     "stepped_sine_joints",
     "tone_finite_contact",
     "steps_finite_contact",

@@ -16,6 +16,7 @@ from tests.gauntlet.checks import CHECKS, Check, modes
 from tests.gauntlet.close_modes import CURVES, MULTISINE, STEPPED, TWO_SHAKERS, draw_close_modes, exact_curves
 from tests.gauntlet.finite_contact import STEPS_FINITE_CONTACT, TONE_FINITE_CONTACT, draw_finite_contact
 from tests.gauntlet.instant_contact import DECAY, STEPS, TONE, draw_decay, draw_instant_contact
+from tests.gauntlet.linear_decays import LINEAR_DECAY, draw_linear_decay
 from tests.gauntlet.profile_control import NOISE, SINE, draw_profile_control
 from tests.gauntlet.result import Case, CheckResult
 from tests.gauntlet.scenes import draw
@@ -29,6 +30,7 @@ _DRAW_FUNCTIONS |= dict.fromkeys((TONE_FINITE_CONTACT, STEPS_FINITE_CONTACT), dr
 _DRAW_FUNCTIONS |= dict.fromkeys((CURVES, MULTISINE, STEPPED, TWO_SHAKERS), draw_close_modes)
 _DRAW_FUNCTIONS |= dict.fromkeys(controlled_tones.KINDS, controlled_tones.draw_controlled_tone)
 _DRAW_FUNCTIONS[controlled_tones.FOLDS] = controlled_tones.draw_folds
+_DRAW_FUNCTIONS[LINEAR_DECAY] = draw_linear_decay
 _DRAW_FUNCTIONS |= dict.fromkeys((SINE, NOISE), draw_profile_control)
 _DRAW_FUNCTIONS |= dict.fromkeys((RANDOM, MULTISINE_TWO_SHAKERS), draw_two_shakers)
 

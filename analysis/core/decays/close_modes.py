@@ -30,8 +30,10 @@ _MAX_RESIDUAL_RATIO = 1.5
 _MIN_RESIDUAL_RATIO = 1e-6
 # Largest ratio of the damping ratios of close modes. Poles of a decay with particle dampers differ by about 6 or more.
 _MAX_DAMPING_RATIO = 4.0
-# Largest change of a frequency between the two fits, relative to the half-power half-width.
+# Largest change of a mode's frequency between the two fits, relative to the half-power half-width.
 _MAX_FREQUENCY_CHANGE = 0.1
+# The same for a large mode that is too inaccurate for a decay of its own, but disturbs another one.
+_MAX_CHANGE_OF_OVERLAP = 1.0
 # Smallest ratio of successive samples of an exponential; smaller ones are rounding errors.
 _MIN_TURN = 1e-12
 
@@ -44,6 +46,11 @@ class Poles:
     amplitude: Array  # at the first sample, shape (n,) [unit of the signal]
     is_mode: NDArray[np.bool_]  # modes with decays of their own: two, three or none, shape (n,)
     residual: float  # rms of the signal minus the exponentials [unit of the signal]
+
+    def strongest(self) -> "Poles":
+        """Return the pole of the largest amplitude as that of a single mode."""
+        first = np.argsort(-self.amplitude)[:1]
+        return Poles(self.rate[first], self.amplitude[first], np.zeros(first.size, dtype=bool), self.residual)
 
 
 _NO_POLES = Poles(np.empty(0, dtype=complex), np.empty(0), np.empty(0, dtype=bool), 0.0)
@@ -66,6 +73,7 @@ def close_poles(baseband: ComplexArray, max_angle: float) -> Poles:
     is_stable = change <= _MAX_FREQUENCY_CHANGE * -rate.real
     is_large = amplitude >= _MIN_AMPLITUDE_RATIO * amplitude.max(initial=0.0)
     other_is_large = other_amplitude >= _MIN_AMPLITUDE_RATIO * other_amplitude.max()
+    is_found = is_stable | is_large & (change <= _MAX_CHANGE_OF_OVERLAP * -rate.real)
     decay_rate = -rate.real[is_large]
     are_modes = (
         2 <= decay_rate.size <= _MAX_MODES
@@ -73,7 +81,7 @@ def close_poles(baseband: ComplexArray, max_angle: float) -> Poles:
         and is_stable[is_large].all()
         and decay_rate.max() <= _MAX_DAMPING_RATIO * decay_rate.min()
     )
-    return Poles(rate[is_stable], amplitude[is_stable], np.asarray(is_large & are_modes)[is_stable], residual)
+    return Poles(rate[is_found], amplitude[is_found], np.asarray(is_large & are_modes)[is_found], residual)
 
 
 def _decaying_poles(signal: ComplexArray, order: int, max_angle: float) -> tuple[ComplexArray, Array, float]:

@@ -11,9 +11,9 @@ import numpy as np
 import scipy
 
 from analysis.core.decays.band_pass import band_width
-from analysis.core.decays.modal_decay import ModalDecay, modal_decay, spectral_peaks
+from analysis.core.decays.modal_decay import SAME_MODE_RATIO, ModalDecay, modal_decay, spectral_peaks
 from analysis.core.decays.overlap import resolve_close_modes
-from analysis.core.decays.sensor_correction import correct_motion, rounding_error
+from analysis.core.decays.sensor_correction import correct_motion, count_of_motion
 from analysis.core.recordings.channel_delay import arrival
 from analysis.core.recordings.names import takes_path
 from analysis.core.recordings.slices import impact_ranges, interpolated
@@ -210,7 +210,8 @@ def decay(rec: Recording, channel: str | None = None, impact: int = 1, modes: in
     # The structure in the scene of an imported recording may be a placeholder.
     max_modes = modes if modes is not None or rec.source else rec.scene.structure.bodies
     # The search range ends at least an octave above the highest mode of the scene.
-    highest_mode = max(HIGHEST_MODE_HZ, 2.0 * float(structural_model(rec.scene).modes.frequency.max()))
+    linear_modes = structural_model(rec.scene).modes.frequency
+    highest_mode = max(HIGHEST_MODE_HZ, 2.0 * float(linear_modes.max()))
     lowest_mode = max(LOWEST_MODE_HZ, rec.rate / (decay_stop - decay_start))
     upper_limit = min(0.4 * rec.rate, 4.0 * highest_mode)
     acceleration = correct_motion(info, samples, "acceleration", lowest_mode, upper_limit)
@@ -221,8 +222,11 @@ def decay(rec: Recording, channel: str | None = None, impact: int = 1, modes: in
     recorded = acceleration[: max(last_change + 1, begin + _MIN_SAMPLES)]
     peak_frequencies = spectral_peaks(recorded[begin:], rec.rate, max_modes, lowest_mode, highest_mode)
     clock = clock_deviation(rec)
-    frequencies, overlaps = resolve_close_modes(recorded, rec.rate, peak_frequencies, begin)
-    rounding = rounding_error(info, frequencies, "acceleration")
+    # A damper gives one mode several poles, like close modes of a linear structure.
+    near = np.sum(abs(linear_modes / peak_frequencies[:, None] - 1.0) < SAME_MODE_RATIO, axis=1)
+    is_single = (near < 2) & (not rec.scene.is_linear) & (not rec.source)
+    frequencies, overlaps = resolve_close_modes(recorded, rec.rate, peak_frequencies, begin, is_single)
+    counts = count_of_motion(info, frequencies, "acceleration")
     decays = tuple(
         modal_decay(
             recorded,
@@ -232,7 +236,7 @@ def decay(rec: Recording, channel: str | None = None, impact: int = 1, modes: in
             begin,
             clock=clock,
             overlap=overlaps[index],
-            rounding=float(rounding[index]),
+            count=float(counts[index]),
         )
         for index, frequency in enumerate(frequencies)
     )

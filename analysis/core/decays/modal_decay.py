@@ -9,14 +9,15 @@ from scipy import fft
 
 from analysis.core.decays.band_pass import band_pass
 from analysis.core.decays.overlap import NO_OVERLAP, Overlap
+from analysis.core.decays.rounding import damping_error, rounding_noise
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.figure_types import Axes
 from rig.core.base.renamed import renamed
 from rig.core.results import Result, complete_style, format_interval, format_limited, format_quantity
 from rig.core.results.uncertainty import expand
 
-# Largest relative difference of two spectral peaks of one mode: dampers shift a frequency during the decay.
-_SAME_MODE_RATIO = 0.1
+#: Largest relative difference of two spectral peaks of one mode: dampers shift a frequency during the decay.
+SAME_MODE_RATIO = 0.1
 # Largest relative standard uncertainty, due to noise, of a reported damping ratio: 10 % expanded is still useful.
 MAX_RELATIVE_UNCERTAINTY = 0.05
 # The damping ratio at an amplitude is proportional to the slope of the log envelope over 6 dB around this amplitude.
@@ -157,7 +158,7 @@ def spectral_peaks(acceleration: Array, rate: float, max_peaks: int | None, low:
     distinct: list[int] = []
     for peak in indices[np.argsort(magnitude_db[indices], kind="stable")[::-1]]:
         # Dampers that come to rest shift the natural frequency. This smears or splits the peak of a single mode.
-        if all(abs(frequency[peak] / frequency[other] - 1.0) > _SAME_MODE_RATIO for other in distinct):
+        if all(abs(frequency[peak] / frequency[other] - 1.0) > SAME_MODE_RATIO for other in distinct):
             distinct.append(int(peak))
     indices = np.sort(np.array(distinct[:max_peaks], dtype=int))
     left, mid, right = magnitude_db[indices - 1], magnitude_db[indices], magnitude_db[indices + 1]
@@ -174,7 +175,7 @@ def modal_decay(
     amplitudes: Array | None = None,  # m/s²; omitted: every 1.5 dB down to the noise
     clock: float = 0.0,  # limit of the relative error of the sample rate
     overlap: Overlap = NO_OVERLAP,
-    rounding: float = 0.0,  # rms error of the acceleration due to rounding to counts [m/s²]
+    count: float = 0.0,  # size of a count of the converter; 0: analog channel [m/s²]
 ) -> ModalDecay:
     """Estimate the envelope of one mode, and its damping ratio as a function of amplitude.
 
@@ -187,9 +188,8 @@ def modal_decay(
     envelope = np.abs(analytic)
     time = (np.arange(acceleration.size) - begin) / rate
     usable = slice(begin + affected, max(acceleration.size - affected, begin + affected))
-    # Rounding errors have equal power at all frequencies up to half the sample rate.
-    rounding_in_band = 2.0 * rounding * np.sqrt(np.sqrt(np.pi) * width / rate)
-    noise = max(_noise(analytic[usable], rate, frequency, width), overlap.noise, rounding_in_band)
+    bandwidth = np.sqrt(np.pi) * width / rate
+    noise = max(_noise(analytic[usable], rate, frequency, width), overlap.noise, rounding_noise(count, bandwidth))
     log_amplitudes = _log_amplitudes(envelope[usable]) if amplitudes is None else np.log(amplitudes)
     damping, natural, slope_change_limit = _damping(analytic[usable], log_amplitudes, _HALF_FALL_NEPERS)
     # Half of the noise power is in phase and changes the envelope, independently at both ends of the fall.
@@ -216,18 +216,19 @@ def modal_decay(
     natural_uncertainty = np.hypot(np.hypot(noise_uncertainty * damping, 0.5 * clock) * natural, 0.5 * natural_bias)
     first, last = _fall(envelope[usable], log_amplitudes, _HALF_FALL_NEPERS)
     rate_error, frequency_error = overlap.rate_errors(amplitude, usable.start + first, usable.start + last)
+    systematic = rate_error / (natural * damping) + damping_error(amplitude, _HALF_FALL_NEPERS, noise, count, bandwidth)
     uncertainty, natural_uncertainty = (
-        np.hypot(uncertainty, 0.5 * rate_error / natural),
+        np.hypot(uncertainty, 0.5 * systematic * damping),
         np.hypot(natural_uncertainty, 0.5 * frequency_error),
     )
     reported = np.ones(log_amplitudes.size, dtype=bool)
     if amplitudes is None:
         reported = np.isfinite(damping) & (damping > 0) & (noise_uncertainty < MAX_RELATIVE_UNCERTAINTY)
-        reported &= 0.5 * rate_error < MAX_RELATIVE_UNCERTAINTY * natural * damping
+        reported &= 0.5 * systematic < MAX_RELATIVE_UNCERTAINTY
     to_hz = rate / (2.0 * np.pi)  # converts rad per sample to Hz
     natural, natural_uncertainty = to_hz * natural[reported], to_hz * natural_uncertainty[reported]
     # At small amplitudes an unresolved neighboring mode with less damping may dominate; its frequency is rejected.
-    plausible = np.flatnonzero(np.isfinite(natural_uncertainty) & (abs(natural / frequency - 1.0) < _SAME_MODE_RATIO))
+    plausible = np.flatnonzero(np.isfinite(natural_uncertainty) & (abs(natural / frequency - 1.0) < SAME_MODE_RATIO))
     frequency_estimate = frequency, float("nan")
     if plausible.size:
         k = plausible[np.argmin(natural_uncertainty[plausible])]

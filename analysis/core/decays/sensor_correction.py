@@ -32,12 +32,11 @@ def correct_motion(info: ChannelInfo, samples: Array, motion: str, low: float, h
     return _filtered(info, spectrum, size, order, low, high)[count - 1 : 2 * count - 1].copy()
 
 
-def rounding_error(info: ChannelInfo, frequency: Array, motion: str) -> Array:
-    """Return the rms error of a motion due to rounding of the readings to counts, at frequencies in Hz [SI]."""
-    if info.volts_per_count is None:
-        return np.zeros(frequency.size)
+def count_of_motion(info: ChannelInfo, frequency: Array, motion: str) -> Array:
+    """Return the size of a count as a motion at frequencies in Hz [SI]; 0 for an analog channel."""
+    count = 0.0 if info.volts_per_count is None else info.unit_per_count
     conversion = (2.0 * np.pi * frequency) ** _derivative_order(info, motion)
-    return np.asarray(info.unit_per_count / np.sqrt(12.0) * abs(conversion / info.response(frequency)))
+    return np.asarray(count * abs(conversion / info.response(frequency)))
 
 
 def corrected_pieces(

@@ -1,7 +1,8 @@
-"""Check of decays: damping ratio as a function of amplitude in a free decay with a damper, compared with exact values.
+"""Check of decays: damping ratios as functions of amplitude, compared with exact values.
 
-Below 1 g the exact damping ratio has a closed form. Above 1 g the exact ratio at a level is the mean decay rate of the
-simulated amplitude within 3 dB of the level, divided by the mean angular frequency. The estimate has this definition.
+Linear structures are compared with the eigenvalues of their equations of motion. With a damper, the exact damping ratio
+has a closed form below 1 g. Above 1 g, the exact ratio at a level is the mean decay rate of the simulated amplitude
+within 3 dB of the level, divided by the mean angular frequency. The estimate has this definition.
 """
 
 import numpy as np
@@ -12,6 +13,7 @@ import rig
 from rig.core.base.arrays import Array
 from rig.core.results.uncertainty import expand
 from tests.gauntlet.instant_contact import DECAY, GRAVITY
+from tests.gauntlet.linear_decays import LINEAR_DECAY, exact_modes
 from tests.gauntlet.result import Case, CheckResult, Outcome
 
 # Sample rate of the exact motion, Hz. Interpolated maxima then have a relative error of 1e-7.
@@ -20,10 +22,15 @@ _RATE = 20480.0
 _HALF_RANGE_NEPER = 3.0 / 20.0 * np.log(10.0)
 # The true damping ratio must lie within the 95 % interval at this fraction of the levels or more.
 MIN_COVERAGE = 0.8
+# Largest error of a value of a linear structure, in 95 % intervals: 5 standard uncertainties, as thousands of values
+# are compared.
+_MAX_ERROR = 2.5
 
 
 def check(case: Case, kind: str) -> list[CheckResult]:
     """Compare the damping ratio of the single mode; each amplitude level counts as one point."""
+    if kind == LINEAR_DECAY:
+        return [_check_channel(case, channel) for channel in case.recording.channels]
     if kind != DECAY:
         return []
     decay = analysis.decay(case.recording, channel="a1")
@@ -40,6 +47,30 @@ def check(case: Case, kind: str) -> list[CheckResult]:
     bound = float(np.median((expanded / mode.damping)[is_known])) if is_known.any() else np.nan
     note = f"largest error {worst:.2%}, median bound {bound:.2%}" + "".join(f" [{text}]" for text in decay.warnings)
     return [CheckResult("decays", kind, outcome, int(inside.sum()), inside.size, note=note)]
+
+
+def _check_channel(case: Case, channel: str) -> CheckResult:
+    """Compare all modes of a channel: the natural frequency, and the damping ratio at each amplitude."""
+    decay = analysis.decay(case.recording, channel=channel)
+    frequencies, ratios = exact_modes(case.scene)
+    errors = list[float]()
+    for mode in decay.modes:
+        measured, expanded = (
+            np.append(mode.damping, mode.frequency),
+            expand(np.append(mode.damping_std, mode.frequency_std)),
+        )
+        pairs = zip(frequencies, ratios, strict=True)
+        # Close modes may differ more in damping than in frequency.
+        possible = [(measured - np.append(np.full(mode.damping.size, ratio), f)) / expanded for f, ratio in pairs]
+        errors += min(possible, key=lambda each: float(np.nanmax(abs(each), initial=0.0))).tolist()
+    errors = [error for error in errors if np.isfinite(error)]
+    inside = np.abs(errors) <= 1.0
+    outcome: Outcome = "refused"
+    if errors:
+        # The errors at all amplitudes are related, so the fraction inside is judged over all scenes.
+        outcome = "correct" if np.abs(errors).max() < _MAX_ERROR else "wrong"
+    note = f"{channel}: largest error {np.abs(errors).max(initial=0.0):.1f} intervals"
+    return CheckResult("decays", LINEAR_DECAY, outcome, int(inside.sum()), inside.size, note=note)
 
 
 def _cycle_amplitudes(scene: rig.Scene) -> tuple[Array, Array, Array]:

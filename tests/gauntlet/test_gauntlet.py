@@ -22,7 +22,7 @@ SCENE_NUMBERS = {
     "tone_dampers": 0,
     "steps_dampers": 0,
     "decay_dampers": 0,
-    "decay_linear": 0,
+    "decay_linear": 3,
     "stepped_sine_joints": 3,
     "tone_finite_contact": 0,
     "steps_finite_contact": 6,

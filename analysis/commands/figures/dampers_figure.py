@@ -19,10 +19,10 @@ from rig.core.base.palette import DAMPER, MOTIONS
 _LEGEND_TEXTS = {
     "riding": MOTION_TEXTS["riding"],
     "I": "Type I: flies, hits the floor once per period",
-    "II": "Type II: hits floor and ceiling once per period",
-    "III": "Type III: as Type II, but stays at the ceiling",
+    "II": "Type II: floor and ceiling once per period",
+    "III": "Type III: as II, but stays at the ceiling",
     "other": "other cycle of impacts",
-    "unseen": MOTION_TEXTS["unseen"],
+    "unseen": "near 1 g: may fly below the detection limit",
     "uncertain": MOTION_TEXTS["uncertain"],
 }
 # Color of each known motion, as in the motion map.
@@ -93,12 +93,9 @@ def _draw_energies(axes: Axes, energy: EnergyBalance, lines: Lines, true_loss: n
 
     is_determined = energy.dampers > energy.expanded
     into_dampers = np.where(is_determined, energy.dampers, np.nan)
-    # Open circles remain visible around the energy of the dampers, where it is nearly all of the supplied energy.
-    rings: dict[str, Any] = {"mfc": "none", "ms": 5.0, "mew": 0.8, "zorder": 4}
-    draw_energy(energy.supplied, color="#000000", marker="o", label="supplied by the force", **rings)
-    draw_energy(
-        energy.structure, color="#777777", marker="o", label="dissipated by the structure (damping of the scene)"
-    )
+    # A wide line remains visible around the energy of the dampers, where it is nearly all of the supplied energy.
+    draw_energy(energy.supplied, color="#bdbdbd", lw=5.0, solid_capstyle="round", label="supplied by the force")
+    draw_energy(energy.structure, color="#555555", marker="o", label="dissipated by the structure (scene's damping)")
     draw_energy(into_dampers, color=DAMPER, marker="o", label="dissipated by the dampers")
     axes.errorbar(
         energy.frequency, 1e3 * into_dampers, 1e3 * energy.expanded, fmt="none", ecolor=DAMPER, elinewidth=0.9

@@ -59,6 +59,8 @@ _MARK_DISTANCE = 0.02
 _DASH_SCALE = 0.5
 _LABEL_COLOR = "#555555"
 _THEORY_COLOR = "#222222"
+# Sentence of the caption on arrows, if lower peaks at the same frequency have none.
+_HIDDEN_ARROWS_TEXT = "Arrows: this peak and those below may be higher."
 
 
 def frf_figure(
@@ -91,7 +93,9 @@ def frf_figure(
             magnitude_axes.plot(curve.frequency, curve.shown_in[1] * abs(curve.value), **style)
             phase_axes.plot(*break_at_wraps(curve.frequency, phase_degrees(curve.value, top)), **style)
         if theory:
-            magnitude_axes.plot([], [], color=_THEORY_COLOR, lw=0.9, ls=":", label=escape_figure(theory[0].label))
+            # In colors of the bodies, the entry of the legend stands for all of them.
+            color = _LABEL_COLOR if not several and theory[0].outputs[0].at else _THEORY_COLOR
+            magnitude_axes.plot([], [], color=color, lw=0.9, ls=":", label=escape_figure(theory[0].label))
         marked_peaks = [peak_marks(measured, resonance_peaks(measured)) for measured in frfs]
         heights, edges = [], []
         unit, factor = frfs[0].shown_in
@@ -144,44 +148,48 @@ def frf_figure(
                 text, (0.5, 0.5), xycoords="axes fraction", ha="center", va="center", fontsize=8, color="#555555"
             )
         figure.align_ylabels([magnitude_axes, phase_axes, coherence_axes])
-        sentences = ["Peaks below an arrow may be higher, too."] * has_hidden_arrows
-        sentences = [*_caption(frfs, [mark for mark, _ in labels], bool(magnitude_axes.containers)), *sentences]
+        sentences = _caption(frfs, [mark for mark, _ in labels], bool(magnitude_axes.containers))
+        if has_hidden_arrows:
+            sentences = [text.replace(PEAK_SYMBOLS["arrows"], _HIDDEN_ARROWS_TEXT) for text in sentences]
         add_legend_below(figure, *remarks, *sentences, *["Rings: highest points."] * has_rings)
         return figure
 
 
 def _caption(frfs: Sequence[Response], marks: Sequence[PeakMark], has_bars: bool) -> list[str]:
     """Explain bands and markers in sentences; `has_bars`: whether points have error bars."""
-    sentences = []
     symbols = {mark.symbol for mark in marks}
-    causes = visible_systematic_errors(frfs)
-    if is_scattered := any(_is_visible(frf, frf.expanded_random()) for frf in frfs):
-        sentences.append("Dark band: scatter (type A, 95 %).")
-    elif not causes and any(has_scatter(frf) for frf in frfs):
-        sentences.append("95 % intervals: narrower than the points.")
-    if causes:
-        band = "Light band: also limits" if is_scattered else "Band: limits"
-        sentences.append(f"{band} of error (type B): {', '.join(causes)}.")
+    sentences = _band_texts(frfs)
     if has_bars:
-        sentences.append("Bars: both, at points without a curve and at peaks that may be higher.")
-    if not all(is_determined(frf).all() for frf in frfs):
-        text = undetermined_text(frfs)
-        sentences.append(f"Pale, with a strip at the axis: undetermined ({text}); phase not shown.")
+        sentences.append("Bars: the same.")
+    is_undetermined = not all(is_determined(frf).all() for frf in frfs)
+    if is_undetermined:
+        sentences.append(f"Pale, with a strip at the axis: undetermined ({undetermined_text(frfs)}).")
     if any((is_determined(frf.sorted()) & ~is_smooth(frf.sorted())).any() for frf in frfs):
-        sentences.append("No phase where it scatters from line to line.")
+        sentences.append(f"No phase where {'undetermined or ' * is_undetermined}scattered.")
     if any(frf.unsteady is not None and frf.unsteady.any() for frf in frfs):
         sentences.append("Crosses: steady state not reached.")
     if any(frf.frequency.size <= MAX_MARKED and not folds_back(frf.frequency) for frf in frfs):
-        sentences.append("Thin curve: local model through the points, where they determine it.")
+        sentences.append("Thin curve: local model.")
     if any(MAX_MARKED < frf.frequency.size <= MAX_POINTS and not folds_back(frf.frequency) for frf in frfs):
         sentences.append("Markers: at some of the points.")
     sentences += [text for symbol, text in PEAK_SYMBOLS.items() if symbol in symbols]
-    sentences += ["Labels: frequencies of the peaks, not of the modes."] * bool(symbols)
+    sentences += ["Labels: peaks, not modes."] * bool(symbols)
     if not all(mark.is_steady for mark in marks):
         sentences.append("In parentheses: steady state not reached.")
     if any(frf.omitted.size for frf in frfs):
         sentences.append("Gaps with a mark at the axis: omitted frequencies.")
     return sentences
+
+
+def _band_texts(frfs: Sequence[Response]) -> list[str]:
+    """Explain the bands around the curves."""
+    causes = ", ".join(visible_systematic_errors(frfs))
+    if any(_is_visible(frf, frf.expanded_random()) for frf in frfs):
+        limits = f"; light: also limits of error (type B: {causes})" if causes else ""
+        return [f"Dark band: scatter (type A, 95 %){limits}."]
+    if causes:
+        return [f"Band: limits of error (type B: {causes})."]
+    return ["95 % intervals: narrower than the points."] * any(has_scatter(frf) for frf in frfs)
 
 
 def _draw_curve(
@@ -314,7 +322,7 @@ def visible_systematic_errors(frfs: Sequence[Response]) -> list[str]:
 
 
 def undetermined_text(frfs: Sequence[Response]) -> str:
-    """Write why lines are undetermined: noise, or the errors that make the bound larger than the value."""
+    """Write why lines are undetermined: noise, or the errors that make the uncertainty larger than the value."""
     causes = set[str]()
     for frf in frfs:
         is_bounded = ~is_determined(frf) & exceeds_noise(frf)
@@ -322,7 +330,7 @@ def undetermined_text(frfs: Sequence[Response]) -> str:
         ratios = {name: float(np.max(limit[is_bounded] / magnitude, initial=0.0)) for name, limit in frf.limits.items()}
         largest = max(ratios, key=ratios.__getitem__, default="")
         causes |= {largest} if ratios.get(largest, 0.0) > MAX_ERROR_RATIO else set()
-    return "noise, or bound above 100 %" + f" due to {', '.join(sorted(causes))}" * bool(causes)
+    return "noise, or uncertainty above 100 %" + f" due to {', '.join(sorted(causes))}" * bool(causes)
 
 
 def includes_sensors(frfs: Sequence[Response]) -> bool:

@@ -35,9 +35,9 @@ _PEAK_RANGE = 0.05
 MODE_SHIFT = 0.15
 #: Symbols of marked peaks, with their explanation.
 PEAK_SYMBOLS = {
-    "circles": "Circles: peaks of the local model between the points.",
-    "diamonds": "Diamonds: peaks of the local model that the points do not resolve; they may be higher.",
-    "arrows": "Arrows: the peak may be higher.",
+    "circles": "Circles: peaks of the local model.",
+    "diamonds": "Diamonds: peaks of the local model, may be higher.",
+    "arrows": "Arrows: may be higher.",
 }
 # Width of the label of a peak, relative to the axes.
 _LABEL_WIDTH = 0.06

@@ -92,7 +92,8 @@ class Page:
         self._rig, self._shown_svg = RigDrawing(self._scene), ""
         self._refreshes = 0
         self._shown_version: Any = None
-        self.span = 1.0  # duration of the shown time histories [s]
+        # Duration of the shown time histories [s]: some periods of a structure of 10 to 50 Hz.
+        self.span = 0.2
         self.obeyed = 0  # number of commands of the browser that were carried out
 
     def description(self) -> bytes:

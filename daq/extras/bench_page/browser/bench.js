@@ -5,6 +5,7 @@ const $ = (name) => document.getElementById(name);
 let socket = null, frozen = false, messages = 0, sent = 0, channels = [], histories = null, spectra = null;
 const shownScales = new Map();
 const VISIBLE_PART = 0.1; // of the limit of a channel
+const HARMONICS = 5; // multiple of the highest frequency of a test to which spectra are shown
 
 function make(parent, tag, content = "") {
   const element = document.createElement(tag);
@@ -110,7 +111,10 @@ function showCurves({ arrays, span }) {
   histories.show([-span, 0], panels("history", time, arrays.history, false));
   if (!arrays.spectra) return;
   const frequency = arrays.spectrum_frequency[0];
-  spectra.show([frequency[0], frequency[frequency.length - 1]], panels("spectrum", frequency, arrays.spectra, true));
+  // Above the harmonics of a test there is only noise.
+  const highest = Math.min(frequency[frequency.length - 1], response.band ? HARMONICS * response.band[1] : Infinity);
+  const shown = frequency.findLastIndex((value) => value <= highest) + 1;
+  spectra.show([frequency[0], frequency[shown - 1]], panels("spectrum", frequency.subarray(0, shown), arrays.spectra.map((row) => row.subarray(0, shown)), true));
 }
 
 function receive(content) {

@@ -11,7 +11,7 @@ const LABELS = {
   interval: ["Interval / s", "Time between impacts, s"],
   hits: ["Impacts", "Number of impacts"],
 };
-const SPANS = [0.1, 1, 5]; // s
+const SPANS = [0.2, 1, 5]; // s
 
 const controls = {
   fields: {},

@@ -157,12 +157,12 @@ const response = {
     const { curves } = this, cursors = this.chart.cursors.map((f) => [f, curves?.frequency.indexOf(f) ?? -1]);
     const columns = cursors.flatMap(([f, k], number) => (k < 0 ? [] : [["AB"[number], digits(f, 5), ...curves.rows.map((row) => this.cell(row, k))]]));
     setText("cursor-hint", columns.length ? "" : CURSOR_HINT);
-    if (!columns.length) columns.push(...["A", "B", "B − A"].map((name) => [name, "–", ...this.channels.map(() => "–")]));
-    else if (columns.length > 1) {
+    if (columns.length > 1) {
       const [[f, i], [g, k]] = cursors;
       columns.push(["B − A", digits(g - f, 4), ...curves.rows.map((row) => `${row.determined[i] && row.determined[k] ? "" : "~\u2009"}${reading(20 * Math.log10(row.magnitude[k] / row.magnitude[i]), 3)}`)]);
     }
-    fillTable($("cursors"), ["", "f / Hz", ...this.channels.map((channel) => channel.name)].map((name, k) => [name, ...columns.map((column) => column[k])]));
+    const names = columns.length ? ["", "f / Hz", ...this.channels.map((channel) => channel.name)] : [];
+    fillTable($("cursors"), names.map((name, k) => [name, ...columns.map((column) => column[k])]));
     const peaks = this.head?.peaks ?? [];
     $("peak-hint").hidden = peaks.length > 0;
     const uncertain = peaks.map((peak) => this.isUncertain(peak));

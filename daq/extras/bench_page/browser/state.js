@@ -18,6 +18,7 @@ const bar = {
     $("progress").querySelector("i").style.width = `${100 * (progress ?? 0)}%`;
     $("progress").lastChild.textContent = progress == null ? "" : `${Math.floor(100 * progress)} %${remaining == null ? "" : `, ${Math.ceil(remaining)} s left`}`;
     const client = state.is_driven_by_clients && response.curves?.level === null ? clientLevel(response.curves) : null;
+    $("readout").classList.toggle("idle", !state.running && !client);
     setText("tone", `${reading(client?.kind === "rms" ? null : state.tone, 4)} Hz`);
     setText("measured", `${reading(client ? client.level : state.running ? state.force : null, 3)} N`);
     setText("force", state.running ? levelText(state) : client ? `force ${client.kind}` : "measured force");

@@ -243,7 +243,10 @@ def test_chaotic_motion_next_to_corner_is_omitted() -> None:
     bench_run = run(scene)
     settled = [fields["frequency"] for *_, fields in bench_run.marks_of("measure") if fields["settled"]]
     assert min(settled) > 39.415
-    assert "level 2.29602 N: the motion is irregular at 39.36 to 39.42" in " ".join(bench_run.warnings)
+    # Which points next to the corner at 39.43 Hz are irregular depends on the last bits.
+    [warning] = [text for text in bench_run.warnings if "the motion is irregular at" in text]
+    irregular = [float(text) for text in re.findall(r"39\.\d+", warning)]
+    assert warning.startswith("level 2.29602 N: ") and min(irregular) < 39.38 and 39.41 < max(irregular) < 39.45
 
 
 def test_irregular_motion_leaves_zero_drive() -> None:

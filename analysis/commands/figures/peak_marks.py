@@ -57,7 +57,7 @@ class PeakMark(NamedTuple):
     height: float  # in the SI unit of the curve
     peak: Peak
     is_steady: bool = True  # whether the highest point is in steady state
-    bound: float = 0.0  # half of the 95 % interval of the height at which an arrow begins
+    expanded: float = 0.0  # half of the 95 % interval of the height at which an arrow begins
 
     @property
     def label(self) -> str:
@@ -67,7 +67,7 @@ class PeakMark(NamedTuple):
     @property
     def top(self) -> float:
         """Upper end of the interval of the height."""
-        return self.height + self.bound
+        return self.height + self.expanded
 
 
 def peak_marks(frf: Response, resonances: Iterable[tuple[Resonance, Peak]]) -> list[PeakMark]:
@@ -87,8 +87,8 @@ def peak_marks(frf: Response, resonances: Iterable[tuple[Resonance, Peak]]) -> l
         point, line_frequency = float(abs(frf.value[line])), float(frf.frequency[line])
         is_steady = frf.unsteady is None or not frf.unsteady[line]
         if not peak.is_determined:
-            bound = float(np.nan_to_num(expanded[line], posinf=0.0))
-            marks.append(PeakMark("arrows", line_frequency, point, peak, is_steady, bound))
+            upper = float(np.nan_to_num(expanded[line], posinf=0.0))
+            marks.append(PeakMark("arrows", line_frequency, point, peak, is_steady, upper))
             continue
         height = peak.value * (2.0 * np.pi * peak.frequency) ** MOTIONS.index(frf.motion)
         is_near = abs(np.searchsorted(ordered, peak.frequency) - np.searchsorted(ordered, line_frequency)) <= 1

@@ -105,7 +105,7 @@ def describe_motions(bodies: Sequence[list[DamperMotion]], omitted: Sequence[flo
 
 def detection_limits(bodies: Sequence[list[DamperMotion]]) -> str:
     """List the detection limit of each body, the largest over all frequencies."""
-    limits = [(max(motion.threshold for motion in body), body[0].channel) for body in bodies]
+    limits = [(max(motion.detection_limit for motion in body), body[0].channel) for body in bodies]
     return ", ".join(f"{float(f'{1e3 * limit:.2g}'):.10g} mm/s ({channel})" for limit, channel in limits)
 
 

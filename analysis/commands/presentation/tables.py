@@ -12,7 +12,7 @@ import numpy as np
 from analysis.core.modal.modes import Modes
 from rig.core.base.escaping import escape_cell, escape_terminal
 from rig.core.base.output_files import atomic_write
-from rig.core.results import round_to_bound
+from rig.core.results import round_to_uncertainty
 from rig.core.results.response import Response
 from rig.core.results.uncertainty import expand
 
@@ -140,4 +140,4 @@ def _modal_cells(frequency: float, frequency_std: float, damping: float, damping
 
 def _rounded(value: float, error: float) -> tuple[float, float]:
     """Round a value to the digits of its 95 % interval, and its standard uncertainty to two digits."""
-    return float(round_to_bound(value, float(expand(error)))), float(f"{error:.2g}")
+    return float(round_to_uncertainty(value, float(expand(error)))), float(f"{error:.2g}")

@@ -19,7 +19,7 @@ from rig.core.results import (
     format_interval,
     format_number,
     format_quantity,
-    round_to_bound,
+    round_to_uncertainty,
 )
 from rig.core.results.resonances import MIN_LINES, Resonance, find_resonances
 from rig.core.results.response import Response
@@ -147,7 +147,7 @@ class Peak:
         low, value, high = (factor * each for each in (self.low, self.value, self.value + self.expanded))
         if value - low < _MIN_SYMMETRY * (high - value):
             # The measured points are a lower limit of the peak.
-            value_text, low_text, high_text = (round_to_bound(each, high - value) for each in (value, low, high))
+            value_text, low_text, high_text = (round_to_uncertainty(each, high - value) for each in (value, low, high))
             text = f"{value_text} ({low_text} to {high_text}){ending}"
         else:
             text = format_quantity(value, high - value, unit) if unit else format_interval(value, high - value)
@@ -320,10 +320,10 @@ def _better(frf: Response, resonance: Resonance, estimate: Peak) -> Peak:
 
 def _common_tolerances(frf: Response) -> tuple[float, ...]:
     """Return the relative tolerances of the sensors of output and reference; empty if they depend on frequency."""
-    bound = frf.limits.get(SENSITIVITY)
-    if bound is None or not bound.size:
+    limit = frf.limits.get(SENSITIVITY)
+    if limit is None or not limit.size:
         return ()
-    relative = bound / abs(frf.value)
+    relative = limit / abs(frf.value)
     if not np.isfinite(relative).all() or np.ptp(relative) > _SAME_TOLERANCE * relative.max():
         return ()
     total, reference = float(relative.max()), min(frf.uncertainty.scale, float(relative.max()))
@@ -451,9 +451,9 @@ class PeakChange:
         return tuple(
             "not determined"
             if isfinite(peak.expanded) and peak.low <= 0.0
-            else f"≥ {round_to_bound(factor * peak.low, expanded)}"
+            else f"≥ {round_to_uncertainty(factor * peak.low, expanded)}"
             if not peak.is_determined
-            else f"{round_to_bound(factor * peak.value, expanded)}{' (extrapolated)' * peak.is_extrapolated}"
+            else f"{round_to_uncertainty(factor * peak.value, expanded)}{' (extrapolated)' * peak.is_extrapolated}"
             for peak in peaks
         )
 

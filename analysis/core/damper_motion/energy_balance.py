@@ -148,7 +148,7 @@ def impact_energy_per_period(rec: Recording, sweep: Sweep) -> Array:
     model = structural_model(rec.scene)
     restitution = np.array([damper.restitution for damper in rec.scene.dampers])
     # The masses of locked dampers belong to their bodies.
-    damper_mass, body_mass = model.bed_mass, np.diag(model.with_bed_masses().mass)[model.bed_body]
+    damper_mass, body_mass = model.damper_mass, np.diag(model.with_damper_masses().mass)[model.damper_body]
     loss_per_squared_speed = 0.5 * damper_mass * body_mass / (damper_mass + body_mass) * (1.0 - restitution**2)
     events = rec.events
     events = events[np.isin(events["kind"], ("floor", "ceiling"))]

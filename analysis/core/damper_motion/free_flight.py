@@ -176,10 +176,10 @@ def inelastic_closing_speeds(scene: Scene, detected: Impacts, damper: Damper) ->
 
 @lru_cache(maxsize=8)
 def _speed_per_jump(scene: Scene, damper: Damper) -> float:
-    from rig.core.system.structural_model import bed_masses, mass_matrix
+    from rig.core.system.structural_model import damper_masses, mass_matrix
 
     mass, body = mass_matrix(scene.structure), damper.body - 1
-    damper_mass = bed_masses(scene, mass)[scene.dampers.index(damper)]
+    damper_mass = damper_masses(scene, mass)[scene.dampers.index(damper)]
     with np.errstate(divide="ignore"):
         return float(1.0 + 1.0 / (np.linalg.inv(mass)[body, body] * damper_mass))
 

@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from analysis.core.damper_motion.joint_fit import ITERATIONS, Jump
+from analysis.core.damper_motion.simultaneous_fit import ITERATIONS, Jump
 
 # Number of groups of jumps that are extended by a further jump; the computing time is proportional to it.
 _BEAM_WIDTH = 3

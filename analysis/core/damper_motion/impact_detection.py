@@ -94,8 +94,8 @@ class Impacts:
     """Time for which the channel rings around an impact [s]. A second impact within this time may be missed if it is
     below `masked_share` of the first impact.
     """
-    threshold: float
-    """Detection limit: smallest jump that is reliably detected [m/s]; higher near a larger impact (see `ringing`)."""
+    detection_limit: float
+    """Smallest jump that is reliably detected [m/s]; higher near a larger impact (see `ringing`)."""
     contact_duration: float
     """Duration of contact in an impact [s]; 0: instantaneous. A jump after a finite-duration impact may be the release
     of this impact.
@@ -188,11 +188,11 @@ def detect_impacts(
     # Positions are in averaged samples here; they are converted to samples below.
     position, position_uncertainty, jump, error = np.array(fitted).reshape(-1, 4).T
     largest = float(abs(jump).max(initial=0.0))
-    threshold = search.detection_limit(noise, largest)
+    limit = search.detection_limit(noise, largest)
     accepted = abs(jump) > max(DETECTION_SIGMAS * noise, MODEL_ERROR * largest)
     if pulse is not None:
         # A jump below the limit may have the wrong sign.
-        accepted, threshold = abs(jump) > threshold, threshold + DETECTION_MARGIN_SIGMAS * noise
+        accepted, limit = abs(jump) > limit, limit + DETECTION_MARGIN_SIGMAS * noise
     lost = (start + np.array(runs_of(~valid_samples), dtype=float).reshape(-1, 2)) / rec.rate
     unresolved = search.unresolved()
     accepted &= ~((position[:, None] >= unresolved[:, 0]) & (position[:, None] < unresolved[:, 1])).any(axis=1)
@@ -221,7 +221,7 @@ def detect_impacts(
         noise=noise,
         resolution=resolution,
         ringing=ringing,
-        threshold=threshold,
+        detection_limit=limit,
         contact_duration=duration,
         searched_duration=float(search.searchable.sum()) / rate - unresolved_duration,
         unsearched=np.concatenate([lost, (start + unresolved) / rec.rate - info.delay]),

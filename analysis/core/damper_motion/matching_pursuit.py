@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from analysis.core.damper_motion.group_search import cost, search_group
 from analysis.core.damper_motion.impact_model import ImpactModel, legendre_basis, with_order
-from analysis.core.damper_motion.joint_fit import (
+from analysis.core.damper_motion.simultaneous_fit import (
     ITERATIONS,
     Deviations,
     Jump,

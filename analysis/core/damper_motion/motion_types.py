@@ -73,8 +73,8 @@ class DamperMotion:
     """Whether the damper stays at the ceiling after an impact there, which it does while the body's acceleration is
     below -g. None if undetermined: the acceleration crosses -g within half a sample interval of the impact, the
     rebound may take too long, or finite-duration contact may extend the push of the ceiling."""
-    threshold: float
-    """Detection limit: smallest velocity jump that is reliably detected [m/s]."""
+    detection_limit: float
+    """Smallest velocity jump that is reliably detected [m/s]."""
     stays_on_floor: bool
     """Whether the body's acceleration stays above -g by more than its uncertainty, so all dampers stay at rest on
     the floor.
@@ -87,6 +87,7 @@ class DamperMotion:
     """Whether the damper may reach the ceiling with impacts that are too weak to be detected."""
 
     pattern_periods = renamed("pattern_periods", "cycle_periods")
+    threshold = renamed("threshold", "detection_limit")
 
     @property
     def impacts_per_period(self) -> tuple[float, float]:
@@ -211,7 +212,7 @@ def _motion_in_window(motion: BodyMotion, numbers: list[int], frequency: float, 
         float(np.sum(~is_at_ceiling)) / searched_periods,
         float(np.sum(is_at_ceiling)) / searched_periods,
         stays_at_ceiling,
-        detected.threshold,
+        detected.detection_limit,
         _min_acceleration(motion, numbers, frequency) > -gravity,
         estimate,
         cycle_periods,

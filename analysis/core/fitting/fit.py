@@ -399,7 +399,7 @@ def _modes(problem: Problem, estimated: Estimate) -> tuple[Mode, ...]:
     values, step = modal_values(estimated.x), 1e-6
     columns = [(modal_values(estimated.x + step * row) - values) / step for row in np.eye(problem.size)]
     jacobian = np.stack(columns, axis=1)
-    bound = estimated.expanded(jacobian)
+    expanded = estimated.expanded(jacobian)
     count = values.size // 2
-    rows = np.transpose([values[:count], bound[:count], values[count:], bound[count:]])
+    rows = np.transpose([values[:count], expanded[:count], values[count:], expanded[count:]])
     return tuple(Mode(*row) for row in rows.tolist())

@@ -179,7 +179,7 @@ def _limits(frfs: Sequence[Response], names: Collection[str] | None = None, with
     totals = []
     for frf in frfs:
         selected = names or frf.limits
-        included = [bound for name, bound in frf.limits.items() if name in selected and name not in without]
+        included = [limit for name, limit in frf.limits.items() if name in selected and name not in without]
         totals.append(np.linalg.norm([np.zeros(frf.value.size), *included], axis=0))
     return np.stack(totals)
 

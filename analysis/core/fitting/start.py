@@ -124,7 +124,7 @@ def _model_modes(scene: Scene, group: Group) -> tuple[Array, Array, Array]:
     """Return frequencies [Hz], damping ratios, and modal constants (-2 omega Im(residue)), (responses, modes)."""
     test_scene = scene_of_test(scene, group.curves)
     spring = None if test_scene.driven_shaker is None else test_scene.driven_shaker.coil_spring
-    model = structural_model(test_scene).with_bed_masses()
+    model = structural_model(test_scene).with_damper_masses()
     if spring is not None:
         model = model.with_ground_springs(driven_bodies(test_scene), spring)
     modes = model.modes

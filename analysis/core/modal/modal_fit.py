@@ -216,8 +216,8 @@ def _systematic_ratio(model: ModalModel, frfs: Sequence[Response]) -> Array:
     """Return the smallest ratio of the systematic limit of a curve to the peak height at each pole."""
     frequency: Array = np.asarray(abs(model.poles) / (2 * np.pi), dtype=float)
     bounds = [
-        bound[nearest_lines(frf, frequency, np.isfinite(frf.value + bound))]
-        for frf, bound in zip(frfs, systematic_limit(frfs, (*IRREGULAR, ALIASING)), strict=True)
+        limit[nearest_lines(frf, frequency, np.isfinite(frf.value + limit))]
+        for frf, limit in zip(frfs, systematic_limit(frfs, (*IRREGULAR, ALIASING)), strict=True)
     ]
     height = abs(model.residue) / -model.poles.real
     return np.asarray(np.min(bounds / np.maximum(height, 1e-300), axis=0))

@@ -265,8 +265,8 @@ def _without_drift(periods: Array, numbers: NDArray[np.int64]) -> Array:
 def _is_distorted(measured: Lines, noise: Lines) -> bool:
     """Return whether realizations scatter more than expected from noise, residual transients and rounding."""
     scatter, expected = (np.linalg.norm(lines.scatter.rows, axis=0) for lines in (measured, noise))
-    bounds = [bound for bound in (measured.residual_transient, measured.resolution) if bound is not None]
-    distorted = scatter > _NOISE_RATIO * (expected + np.sum(bounds, axis=0))
+    limits = [limit for limit in (measured.residual_transient, measured.resolution) if limit is not None]
+    distorted = scatter > _NOISE_RATIO * (expected + np.sum(limits, axis=0))
     distorted &= scatter > _MEAN_RATIO * abs(measured.mean)
     return bool(np.max(distorted.mean(axis=1)) > _MIN_DISTORTED_LINES)
 

@@ -108,10 +108,10 @@ class Lines:
         reference_limits = [self._reference_noise(reference_weights, noise) / abs(f)]
         # Residual transients and rounding add up in the worst case.
         unsettled = None if residual_transient is None else _TRANSIENT_FACTOR * residual_transient
-        for name, bound in ((RESOLUTION, resolution), (UNSETTLED, unsettled)):
-            if bound is not None:
-                limits[name] = np.sum(abs(weights) * bound, axis=0)
-                reference_limits.append(np.sum(abs(reference_weights / f) * bound, axis=0))
+        for name, limit in ((RESOLUTION, resolution), (UNSETTLED, unsettled)):
+            if limit is not None:
+                limits[name] = np.sum(abs(weights) * limit, axis=0)
+                reference_limits.append(np.sum(abs(reference_weights / f) * limit, axis=0))
         if self.timing is not None:
             near = poles_near_lines(value, self.frequency, error)
             free_vibration = ringing(value, self.frequency, near, *self.timing)
@@ -144,7 +144,7 @@ class Lines:
             for each in (self.scatter, self.scatter if self.noise is None else self.noise)
         )
         transient, resolution = (
-            None if bound is None else bound[rows] for bound in (self.residual_transient, self.resolution)
+            None if limit is None else limit[rows] for limit in (self.residual_transient, self.resolution)
         )
         return self.mean[rows], scatter, noise, transient, resolution
 

@@ -136,8 +136,8 @@ class Backbone(Result):
         points = []
         for k, level in enumerate(self.level.tolist()):
             quantities = {
-                name: (float(value[k]), format_limited(float(value[k]), float(bound[k])))
-                for name, (value, bound) in columns.items()
+                name: (float(value[k]), format_limited(float(value[k]), float(expanded[k])))
+                for name, (value, expanded) in columns.items()
             }
             note = "" if self.settled[k] else "steady state not reached"
             points.append(LevelPoint(f"{format_number(level)} {self.unit}", float(self.frequency[k]), quantities, note))

@@ -200,11 +200,13 @@ class AmplitudeCurve(Result):
         for name, (color, _, marker), part, is_stable in self.parts():
             face = color if is_stable else "white"
             points = complete_style(style, color=color, marker=marker, ms=4, ls="", elinewidth=0.7, zorder=3)
-            x, y, bound = (column[part] for column in (self.frequency, 1e3 * self.amplitude, 1e3 * self.amplitude_own))
-            ax.errorbar(x, y, bound, markerfacecolor=face, label=name, **points)
+            columns = self.frequency, 1e3 * self.amplitude, 1e3 * self.amplitude_own
+            x, y, expanded = (column[part] for column in columns)
+            ax.errorbar(x, y, expanded, markerfacecolor=face, label=name, **points)
         if self.folds:
-            x, y, bound = np.transpose([(fold.frequency, 1e3 * fold.amplitude, fold.expanded) for fold in self.folds])
-            ax.errorbar(x, y, xerr=bound, fmt="x", color="black", zorder=4, label="fold", ms=8, capsize=2)
+            folds = [(fold.frequency, 1e3 * fold.amplitude, fold.expanded) for fold in self.folds]
+            x, y, expanded = np.transpose(folds)
+            ax.errorbar(x, y, xerr=expanded, fmt="x", color="black", zorder=4, label="fold", ms=8, capsize=2)
         ax.set(xlabel="excitation frequency / Hz", ylabel=f"amplitude of {self.body} / mm")
 
 
@@ -249,9 +251,9 @@ def continuation(rec: Recording) -> AmplitudeCurve:
         # Change of the frequency per relative change of the force at constant amplitude, as on the side of a resonance.
         decay_rate = np.array([float(fields[FOLLOWED_CURVE.field]) for fields in points]) / (2.0 * np.pi)
         per_force = decay_rate * abs(compliance) / np.maximum(abs(compliance.real), 1e-3 * abs(compliance))
-        bound = force_error * per_force
+        expanded = force_error * per_force
         jump = np.array([fields.get("jump") or np.nan for fields in points])
-        of_level = _folds(level, frequency[settled], motion.amplitude[settled], bound[settled], jump[settled])
+        of_level = _folds(level, frequency[settled], motion.amplitude[settled], expanded[settled], jump[settled])
         folds += of_level
         # The motion is unstable behind an odd number of folds.
         n_passed = np.searchsorted([fold.position for fold in of_level], np.arange(frequency.size))
@@ -259,7 +261,7 @@ def continuation(rec: Recording) -> AmplitudeCurve:
             "level": np.full(frequency.size, level),
             "force": motion.force,
             "frequency": frequency,
-            "frequency_expanded": bound,
+            "frequency_expanded": expanded,
             "amplitude": motion.amplitude,
             "amplitude_expanded": motion.relative * motion.amplitude,
             "amplitude_own": motion.own * motion.amplitude,
@@ -276,8 +278,8 @@ def continuation(rec: Recording) -> AmplitudeCurve:
     )
 
 
-def _folds(level: float, frequency: Array, amplitude: Array, bound: Array, jump: Array) -> list[Fold]:
-    """Locate the points at which the frequency turns back; `bound`: uncertainty at constant amplitude [Hz].
+def _folds(level: float, frequency: Array, amplitude: Array, expanded: Array, jump: Array) -> list[Fold]:
+    """Locate the points at which the frequency turns back; `expanded`: uncertainty at constant amplitude [Hz].
 
     `jump`: frequency at which the motion of a point behind a corner has jumped [Hz]; NaN for other points.
     """
@@ -305,9 +307,9 @@ def _folds(level: float, frequency: Array, amplitude: Array, bound: Array, jump:
             extremes.append((nearest, float(polynomial(nearest))))
         (_, quadratic), (at, cubic) = extremes
         position = first + float(np.interp(at, length, np.arange(length.size)))
-        error = float(np.hypot(bound[vertex], cubic - quadratic))
+        error = float(np.hypot(expanded[vertex], cubic - quadratic))
         folds.append(Fold(level, cubic, error, float(np.interp(at, length, heights)), position))
     for point in np.flatnonzero(np.isfinite(jump)).tolist():
         middle, half = (jump[point] + frequency[point]) / 2.0, abs(jump[point] - frequency[point]) / 2.0
-        folds.append(Fold(level, float(middle), float(half + bound[point]), float(amplitude[point]), point - 0.5))
+        folds.append(Fold(level, float(middle), float(half + expanded[point]), float(amplitude[point]), point - 0.5))
     return sorted(folds, key=lambda fold: fold.position)

@@ -89,8 +89,8 @@ class ForceSurface(Result):
             lower = np.clip(np.searchsorted(known, amplitude) - 1, 0, known.size - 2)
             share = (amplitude - known[lower]) / np.diff(known)[lower]
             change = abs(np.diff(stiffness))[lower] * amplitude
-            bound = np.interp(amplitude, known, self.force_expanded[chosen]) + share * (1.0 - share) * change
-            yield frequency, amplitude, force, bound
+            expanded = np.interp(amplitude, known, self.force_expanded[chosen]) + share * (1.0 - share) * change
+            yield frequency, amplitude, force, expanded
 
     def at_force(self, force: float) -> dict[str, NDArray[Any]]:
         """Return the response at constant force by interpolation between the held amplitudes.
@@ -108,14 +108,14 @@ class ForceSurface(Result):
             forces do not include the force.
         """
         rows: list[tuple[float, float, float, bool]] = []
-        for frequency, amplitude, values, bound in self._curves():
+        for frequency, amplitude, values, expanded in self._curves():
             rise = np.diff(values)
             for k in np.flatnonzero((values[1:] >= force) != (values[:-1] >= force)):
                 share = (force - values[k]) / rise[k]
                 # Next to a fold, the slope of the chord over the interval of the force is used.
-                within = np.flatnonzero(abs(values - force) <= bound[k])
+                within = np.flatnonzero(abs(values - force) <= expanded[k])
                 width = np.ptp(amplitude[within]) / 2.0 if within.size else 0.0
-                error = max(bound[k] * (amplitude[k + 1] - amplitude[k]) / abs(rise[k]), width)
+                error = max(expanded[k] * (amplitude[k + 1] - amplitude[k]) / abs(rise[k]), width)
                 rows.append((frequency, amplitude[k] + share * (amplitude[k + 1] - amplitude[k]), error, rise[k] > 0.0))
         columns = zip(*rows, strict=True) if rows else ([], [], [], [])
         names = ("frequency_Hz", "amplitude_m", "amplitude_bound_m", "stable")

@@ -137,7 +137,7 @@ class RigView:
 
         self.scene = scene
         self.exaggeration = exaggeration(extremes)
-        self.damper_masses = structural_model(scene).bed_mass
+        self.damper_masses = structural_model(scene).damper_mass
         self.gaps_known = gaps_known
         self._unmeasured = unmeasured
         self._drawn_excursion = extremes.body * self.exaggeration

@@ -37,7 +37,8 @@ def unresolved_force(scene: Scene, system: HybridSystem, channels: Sequence[Chan
         return
     weights = shaker.force_terms(scene.at_driven("shaker"), scene.at_driven("table"))
     ends = {info.at: info for info in reversed(channels) if info.at in weights and info.derivative is not None}
-    resonances = structural_model(scene).with_bed_masses(range(1, len(scene.dampers) + 1)).modes.omega / (2.0 * np.pi)
+    riding = range(1, len(scene.dampers) + 1)
+    resonances = structural_model(scene).with_damper_masses(riding).modes.omega / (2.0 * np.pi)
     resonances = resonances[(resonances >= band[0]) & (resonances <= band[-1])]
     omega = 2.0 * np.pi * resonances
     if len(ends) < len(weights) or not resonances.size:

@@ -22,7 +22,7 @@ from rig.core.scene.structure import Dashpots, ModalDamping, RayleighDamping, St
 from rig.core.system.assembly import assemble
 from rig.core.system.hybrid_system import HybridSystem
 from rig.core.system.spheres import spheres_of
-from rig.core.system.structural_model import StructuralModel, TunedMass, structural_model
+from rig.core.system.structural_model import SpringMass, StructuralModel, structural_model
 
 #: Maximum number of listed natural frequencies, so that the list fits into one line.
 _MAX_LISTED = 7
@@ -242,7 +242,7 @@ def _damper_effects(scene: Scene, system: HybridSystem) -> Iterable[Effect]:
         yield Effect("motion", "finite-duration contact", 0, "; ".join(_wall_texts(system, scene.structure)))
 
 
-def _spring_mass_text(mass: TunedMass, scene: Scene) -> str:
+def _spring_mass_text(mass: SpringMass, scene: Scene) -> str:
     """Describe a mass on a spring, with natural frequency and damping ratio on a body at rest, and its walls."""
     omega = math.sqrt(mass.stiffness / mass.mass)
     return (

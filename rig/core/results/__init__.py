@@ -10,7 +10,7 @@ from rig.core.results.text import (
     format_number,
     format_percent,
     format_quantity,
-    round_to_bound,
+    round_to_uncertainty,
 )
 
 __all__ = [
@@ -26,5 +26,5 @@ __all__ = [
     "format_quantity",
     "join_columns",
     "missing_package",
-    "round_to_bound",
+    "round_to_uncertainty",
 ]

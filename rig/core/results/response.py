@@ -82,11 +82,11 @@ class Response(ResponseArithmetic, Sequence["Response"]):
         heading = f"{self.label}, {self.ratio}: {self.name}, {self.frequency.size} points"
         if not np.isfinite(self.value).any():
             return heading
-        magnitude, bound, at, force, cause = self.highest_value()
+        magnitude, expanded, at, force, cause = self.highest_value()
         unit, contribution = self.shown_in[0], ""
-        height = format_quantity(magnitude, bound, unit) if cause else f"{magnitude:.4g} {unit}"
+        height = format_quantity(magnitude, expanded, unit) if cause else f"{magnitude:.4g} {unit}"
         if cause:
-            contribution = f"; {'largest contribution' if np.isfinite(bound) else 'unbounded by'}: {cause}"
+            contribution = f"; {'largest contribution' if np.isfinite(expanded) else 'unbounded by'}: {cause}"
         return (
             f"{heading}, {self.frequency.min():.4g} to {self.frequency.max():.4g} Hz, highest {height} "
             f"at {at} Hz{f' under {force} N' * bool(force)}{contribution}{'; '.join(['', *self.uncertain_peak()])}"
@@ -98,20 +98,20 @@ class Response(ResponseArithmetic, Sequence["Response"]):
         for curve in self.curves():
             name = curve.response if len(self.inputs) == 1 else curve.ratio
             if np.isfinite(curve.value).any():
-                magnitude, bound, *texts = curve.highest_value()
-                rows.append((name, format_interval(magnitude, bound), *texts))
+                magnitude, expanded, *texts = curve.highest_value()
+                rows.append((name, format_interval(magnitude, expanded), *texts))
             else:
                 rows.append((name, "no value", "", "", ""))
         heading = ("response", f"highest / ({self.shown_in[0]})", "at / Hz", "force / N", "largest uncertainty")
         return Table(heading, "<>>><", rows)
 
     def highest_value(self) -> tuple[float, float, str, str, str]:
-        """Return value, bound, frequency, force and largest contribution to the uncertainty at the peak line."""
+        """Return value, expanded, frequency, force and largest contribution to the uncertainty at the peak line."""
         peak, factor = self.peak_line(), self.shown_in[1]
-        bound = factor * float(self.expanded()[peak])
+        expanded = factor * float(self.expanded()[peak])
         force = "" if self.amplitude is None or self.reference != "force" else f"{self.amplitude[peak]:.4g}"
-        cause = self.largest_contributions()[peak] if bound > 0.0 else ""
-        return factor * float(abs(self.value[peak])), bound, f"{self.frequency[peak]:.4g}", force, cause
+        cause = self.largest_contributions()[peak] if expanded > 0.0 else ""
+        return factor * float(abs(self.value[peak])), expanded, f"{self.frequency[peak]:.4g}", force, cause
 
     def peak_line(self) -> int:
         """Return the index of the largest value of a curve among the values with a small uncertainty.

@@ -41,16 +41,16 @@ def format_decimals(value: float, decimals: int) -> str:
     return f"{value:#.3g}" if is_small else f"{value:.{decimals}f}"
 
 
-def round_to_bound(value: float, expanded: float) -> str:
+def round_to_uncertainty(value: float, expanded: float) -> str:
     """Write a number rounded to the second significant digit of its expanded uncertainty.
 
     If the number is smaller than its uncertainty, it has two digits of its own.
 
-    >>> round_to_bound(0.0123456, 0.00021), round_to_bound(1078.4, 134.0), round_to_bound(376.0, 7e4)
+    >>> round_to_uncertainty(0.0123456, 0.00021), round_to_uncertainty(1078.4, 134.0), round_to_uncertainty(376.0, 7e4)
     ('0.01235', '1080', '380')
-    >>> round_to_bound(3.14159, 0.0)
+    >>> round_to_uncertainty(3.14159, 0.0)
     '3.142'
-    >>> round_to_bound(3.14159e-12, 2e-14)
+    >>> round_to_uncertainty(3.14159e-12, 2e-14)
     '3.142e-12'
     """
     if not isfinite(expanded) or expanded <= 0.0:
@@ -73,7 +73,7 @@ def format_frequency(frequency: float, expanded: float) -> str:
     """
     smallest = 0.01 * min(frequency, 1.0)
     # The last digit is that of the first significant digit of the uncertainty.
-    return f"{round_to_bound(frequency, 10.0 * (expanded if expanded > smallest else smallest))} Hz"
+    return f"{round_to_uncertainty(frequency, 10.0 * (expanded if expanded > smallest else smallest))} Hz"
 
 
 def format_interval(value: float, expanded: float) -> str:
@@ -83,7 +83,7 @@ def format_interval(value: float, expanded: float) -> str:
     ('2.42 ± 0.20', '935.2 (± unknown)', '1')
     """
     if expanded == 0.0:
-        return round_to_bound(value, expanded)
+        return round_to_uncertainty(value, expanded)
     return " ± ".join(_round_pair(value, expanded)) if isfinite(expanded) else f"{value:.4g} (± unknown)"
 
 
@@ -97,7 +97,7 @@ def _round_pair(value: float, expanded: float) -> tuple[str, str]:
     last = 10.0**-decimals
     if 0 < decimals <= 9 and 0.0 < expanded < 10.0 * last:
         return f"{value:.{decimals}f}", f"{ceil(expanded / last) * last:.{decimals}f}"
-    return round_to_bound(value, expanded), round_to_bound(expanded, expanded)
+    return round_to_uncertainty(value, expanded), round_to_uncertainty(expanded, expanded)
 
 
 def format_limited(value: float, expanded: float, highest: float = inf) -> str:
@@ -120,9 +120,9 @@ def format_limited(value: float, expanded: float, highest: float = inf) -> str:
     if high <= 0.0 or low >= highest:
         return format_interval(value, expanded)
     if low <= 0.0 < expanded < inf:
-        return f"below {round_to_bound(high, expanded)}"
+        return f"below {round_to_uncertainty(high, expanded)}"
     if high >= highest:
-        return f"above {round_to_bound(low, expanded)}"
+        return f"above {round_to_uncertainty(low, expanded)}"
     return format_interval(value, expanded if expanded == expanded else 0.0)
 
 
@@ -133,7 +133,7 @@ def format_quantity(value: float, expanded: float, unit: str) -> str:
     ('(2.42 ± 0.20) %', '935.2 µm/N (± unknown)')
     """
     if not isfinite(expanded):
-        return f"{round_to_bound(value, expanded)} {unit} (± unknown)"
+        return f"{round_to_uncertainty(value, expanded)} {unit} (± unknown)"
     return f"({' ± '.join(_round_pair(value, expanded))}) {unit}"
 
 

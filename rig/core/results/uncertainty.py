@@ -33,7 +33,7 @@ from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import SceneError
 from rig.core.numerics.memory import require_memory_with_program
 from rig.core.results.table import Table
-from rig.core.results.text import format_quantity, round_to_bound
+from rig.core.results.text import format_quantity, round_to_uncertainty
 
 Lines = NDArray[np.bool_] | NDArray[np.intp]
 # Change of a response if an error source is at its limit, by the identity of the source; complex, shape (lines,).
@@ -443,15 +443,16 @@ class BudgetTable:
         least = float(f"{_NEGLIGIBLE_RATIO * self.combined:.1g}") if np.isfinite(self.combined) else 0.0
         rows = [
             (
-                name, evaluation, f"< {least:g}" if standard < least else round_to_bound(standard, standard),
+                name, evaluation, f"< {least:g}" if standard < least else round_to_uncertainty(standard, standard),
                 f"{100.0 * share:.0f} %" if np.isfinite(share) else "–",
             )
             for name, evaluation, standard, share in self.rows
         ]  # fmt: skip
         rows += [(name, "B", "not included", "–") for name in self.missing]
         factor = self.expanded / self.combined if self.combined else COVERAGE_FACTOR
-        rows.append(("combined, u", "", round_to_bound(self.combined, self.combined), ""))
-        rows.append((f"expanded, U = k u, k = {factor:.2f}", "", round_to_bound(self.expanded, self.expanded), ""))
+        combined, expanded = (round_to_uncertainty(each, each) for each in (self.combined, self.expanded))
+        rows.append(("combined, u", "", combined, ""))
+        rows.append((f"expanded, U = k u, k = {factor:.2f}", "", expanded, ""))
         heading = ("contribution", "type (GUM)", f"standard uncertainty / ({self.unit})", "share of the variance")
         return Table(heading, "<<>>", rows)
 

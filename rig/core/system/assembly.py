@@ -46,7 +46,7 @@ def assemble(scene: Scene) -> HybridSystem:
     """
     model = structural_model(scene)
     bodies = len(model.mass)
-    masses, body, locked = model.bed_mass, model.bed_body, model.locked
+    masses, body, locked = model.damper_mass, model.damper_body, model.locked
     free = np.flatnonzero(~locked)
     finite_contact = any(scene.dampers[j].contact is not None for j in free)
     # With finite-duration contact a damper has three configurations: no contact, lower wall, upper wall.
@@ -89,7 +89,7 @@ def matrices_without_free_beds(scene: Scene) -> tuple[Array, Array, Array]:
 
 def _without_free_beds(scene: Scene, model: StructuralModel, weight: Array) -> Equations:
     """Return equations of bodies and tables with inputs; `weight`: (negative) weight of locked beds [N], (bodies,)."""
-    structure = model.with_bed_masses()
+    structure = model.with_damper_masses()
     ground = partial(ground_connection, scene.structure, structure)
     equations = Equations(structure.mass, structure.damping, structure.stiffness, weight, ground)
     for number, shaker in enumerate(scene.shakers, 1):

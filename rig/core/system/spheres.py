@@ -55,7 +55,7 @@ def spheres_of(scene: Scene) -> dict[int, Spheres]:
     Raises `SceneError` if a bed is lighter than half a grain, or the requested time step is too long for its grains.
     """
     spheres_by_row = {}
-    for row, (damper, mass) in enumerate(zip(scene.dampers, structural_model(scene).bed_mass, strict=True)):
+    for row, (damper, mass) in enumerate(zip(scene.dampers, structural_model(scene).damper_mass, strict=True)):
         if damper.grains is None or not damper.moves:
             continue
         grain_mass = damper.grains.density * math.pi / 6.0 * damper.grains.diameter**3

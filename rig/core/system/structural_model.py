@@ -1,7 +1,6 @@
 """The structure as matrices M, C, K with its dampers' masses: natural modes and the linear frequency response.
 
-A damper's *bed* is its particles, modeled as one mass. A *resting* bed lies in its cavity: an added
-mass of its body.
+A particle damper is modeled as one mass. A *resting* damper lies in its cavity: an added mass of its body.
 
 Convention: x(t) = Re(X e^{i w t}), so a phase lag is negative.
 """
@@ -58,7 +57,7 @@ class NaturalModes:
 
 
 @dataclass(frozen=True)
-class TunedMass:
+class SpringMass:
     """A mass on a spring and a dashpot in a body; SI units. `damper`, `body`: indices from 0."""
 
     damper: int
@@ -76,32 +75,31 @@ class TunedMass:
 
 @dataclass(frozen=True, eq=False)
 class StructuralModel:
-    """The equation of motion M x'' + C x' + K x = f of the bodies, and the masses of the beds in them.
+    """The equation of motion M x'' + C x' + K x = f of the bodies, and the masses of the dampers in them.
 
-    `mass`, `damping`, `stiffness`, shape (bodies, bodies): in kg, N s/m and N/m; without the masses of beds.
-
-    `bed_mass`: kg, in the scene's order, shape (dampers,); `bed_body`: index of the body of each damper, from 0, shape
-    (dampers,); `locked`: whether a damper is locked or has no clearance, shape (dampers,). `tuned`: the masses on
+    `mass`, `damping`, `stiffness`, shape (bodies, bodies): in kg, N s/m and N/m; without the masses of dampers.
+    `damper_mass`: kg, in the scene's order, shape (dampers,); `damper_body`: index of the body of each damper, from 0,
+    shape (dampers,); `locked`: whether a damper is locked or has no clearance, shape (dampers,). `tuned`: the masses on
     springs, which `response` includes.
     """
 
     mass: Array
     damping: Array
     stiffness: Array
-    bed_mass: Array = field(default_factory=lambda: np.zeros(0))
-    bed_body: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
+    damper_mass: Array = field(default_factory=lambda: np.zeros(0))
+    damper_body: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
     locked: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=bool))
-    tuned: tuple[TunedMass, ...] = ()
+    tuned: tuple[SpringMass, ...] = ()
 
     @cached_property
     def modes(self) -> NaturalModes:
-        """Natural modes without beds; raises `SceneError` if the structure is statically unstable."""
+        """Natural modes without dampers; raises `SceneError` if the structure is statically unstable."""
         omega, shapes = natural_modes(self.mass, self.stiffness)
         mass, damping = (np.einsum("ji,jk,ki->i", shapes, matrix, shapes) for matrix in (self.mass, self.damping))
         return NaturalModes(omega, shapes, mass, damping)
 
-    def with_bed_masses(self, riding: Iterable[int] = ()) -> Self:
-        """Return the model with the masses of the locked and of the resting beds added to their bodies.
+    def with_damper_masses(self, riding: Iterable[int] = ()) -> Self:
+        """Return the model with the masses of the locked and of the resting dampers added to their bodies.
 
         `riding`: numbers of the dampers that rest, from 1. Raises `SceneError` if a damper does not exist.
         """
@@ -111,12 +109,12 @@ class StructuralModel:
         if missing:
             raise SceneError(f"riding: damper {missing[0]} does not exist. Give numbers of dampers from 1 to {count}.")
         on_springs = {mass.damper for mass in self.tuned}
-        beds = sorted({*np.flatnonzero(self.locked).tolist(), *(number - 1 for number in numbers)} - on_springs)
-        if not beds:
+        resting = sorted({*np.flatnonzero(self.locked).tolist(), *(number - 1 for number in numbers)} - on_springs)
+        if not resting:
             return self
         mass = self.mass.copy()
-        bodies = self.bed_body[beds]
-        np.add.at(mass, (bodies, bodies), self.bed_mass[beds])
+        bodies = self.damper_body[resting]
+        np.add.at(mass, (bodies, bodies), self.damper_mass[resting])
         return replace(self, mass=mass)
 
     def with_ground_springs(self, bodies: Iterable[int], spring: float) -> Self:
@@ -158,23 +156,23 @@ def structural_model(scene: Scene) -> StructuralModel:
 
     >>> import rig
     >>> model = structural_model(rig.load("fig9"))
-    >>> model.modes.frequency.round(2), model.bed_mass
+    >>> model.modes.frequency.round(2), model.damper_mass
     (array([13.04, 34.78, 49.66]), array([0.0426]))
     """
     mass, damping, stiffness = _shared_matrices(scene.structure)
     body = np.array([damper.body - 1 for damper in scene.dampers], dtype=np.intp)
     locked = np.array([not damper.moves for damper in scene.dampers], dtype=bool)
-    masses = bed_masses(scene, mass)
+    masses = damper_masses(scene, mass)
     tuned = tuple(
-        TunedMass(k, damper.body - 1, float(masses[k]), damper.spring, damper.dashpot)
+        SpringMass(k, damper.body - 1, float(masses[k]), damper.spring, damper.dashpot)
         for k, damper in enumerate(scene.dampers)
         if damper.spring is not None and damper.moves
     )
     return StructuralModel(mass, damping, stiffness, masses, body, locked, tuned)
 
 
-def bed_masses(scene: Scene, mass: Array) -> Array:
-    """Return the mass of each damper's bed [kg] in the scene's order; `mass`: mass matrix of the structure."""
+def damper_masses(scene: Scene, mass: Array) -> Array:
+    """Return the mass of each damper [kg] in the scene's order; `mass`: mass matrix of the structure."""
     masses = (
         damper.mass if damper.mass is not None else (damper.mass_ratio or 0.0) * mass[damper.body - 1, damper.body - 1]
         for damper in scene.dampers
@@ -199,7 +197,7 @@ def receptance(scene: Scene, frequencies_hz: ArrayLike, riding: Iterable[int] = 
     4.115e-05 m/N
     """
     frequencies = _validated(frequencies_hz)
-    model = structural_model(scene).with_bed_masses(riding)
+    model = structural_model(scene).with_damper_masses(riding)
     force = np.zeros(len(model.mass))
     force[driven_bodies(scene)] = 1.0
     return model.response(frequencies, force)
@@ -214,13 +212,13 @@ def transmissibility(scene: Scene, frequencies_hz: ArrayLike, riding: Iterable[i
     scene has no coil spring.
     """
     if scene.reference == "table":
-        frequencies, model = _validated(frequencies_hz), structural_model(scene).with_bed_masses(riding)
+        frequencies, model = _validated(frequencies_hz), structural_model(scene).with_damper_masses(riding)
         ground = ground_connection(scene.structure, model)
         return model.response(
             frequencies, ground.stiffness[:, None] + 2j * np.pi * np.outer(ground.damping, frequencies)
         )
     frequencies, driven, spring = _validated(frequencies_hz), driven_bodies(scene), coil_spring(scene)
-    model = structural_model(scene).with_bed_masses(riding).with_ground_springs(driven, spring)
+    model = structural_model(scene).with_damper_masses(riding).with_ground_springs(driven, spring)
     force = np.zeros(len(model.mass))
     force[driven] = spring
     return model.response(frequencies, force)
@@ -304,7 +302,7 @@ def ground_connection(structure: Structure, model: StructuralModel) -> Ground:
 
 
 def mass_matrix(structure: Structure) -> Array:
-    """Return the mass matrix of the structure without beds [kg], shape (bodies, bodies)."""
+    """Return the mass matrix of the structure without dampers [kg], shape (bodies, bodies)."""
     if structure.matrices is not None:
         return symmetric(np.array(structure.matrices.mass))
     return np.diag(np.array(structure.masses or ()))

@@ -32,7 +32,7 @@ class ModePeaks:
 def mode_objectives(objective: Objective) -> list[tuple[float, Objective]]:
     """Return natural frequencies in and next to the band [Hz], each with the objective restricted to its mode."""
     nominal = objective.scenes[0]
-    natural = structural_model(nominal).with_bed_masses().modes.frequency
+    natural = structural_model(nominal).with_damper_masses().modes.frequency
     natural = natural[natural > 0.0]
     low, high = objective.band
     # Logarithmic distance from the band; negative inside.

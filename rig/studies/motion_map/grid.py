@@ -81,7 +81,7 @@ def natural_frequencies(scene: Scene, low: float, high: float) -> Array:
     """Compute the natural frequencies [Hz] in a range: without moving dampers, and with resting dampers."""
     # With dampers in motion, each resonance is between its frequencies without moving dampers and with resting dampers.
     model = structural_model(scene)
-    models = [model.with_bed_masses(), model.with_bed_masses(range(1, len(scene.dampers) + 1))]
+    models = [model.with_damper_masses(), model.with_damper_masses(range(1, len(scene.dampers) + 1))]
     natural = np.concatenate([loaded_model.modes.frequency for loaded_model in models])
     return np.asarray(natural[(natural > low) & (natural < high)])
 

@@ -144,7 +144,7 @@ def single_mode(
     mass = model.mass.copy()
     damper_masses: dict[int, float] = {}
     clearances: set[float] = set()
-    for damper, md in zip(scene.dampers, model.bed_mass, strict=True):
+    for damper, md in zip(scene.dampers, model.damper_mass, strict=True):
         if damper.locked:
             mass[damper.body - 1, damper.body - 1] += md
             continue

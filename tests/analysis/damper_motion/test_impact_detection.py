@@ -48,7 +48,7 @@ def test_known_impacts_have_correct_times_and_sizes(tmp_path, quantity):
     path, times, jumps = record_jumps(tmp_path / "a.mcap", quantity)
     with daq.open(path) as rec:
         detected = detect_impacts(rec, "body1")
-    detectable_jumps = abs(jumps) > detected.threshold
+    detectable_jumps = abs(jumps) > detected.detection_limit
     f1, _, matched = score(detected.time, times, 2.0 / RATE)
     assert f1 > 0.98 and matched[detectable_jumps].mean() > 0.98
     nearest = np.array([np.argmin(abs(times - time)) for time in detected.time])
@@ -108,10 +108,10 @@ def test_three_dampers_at_resonance_are_detected(tmp_path, quantity, frequency):
             detected = detect_impacts(rec, f"body{body}", start)
             times, jumps = true_impacts(rec, body)
             inner = (times > start / rec.rate + 0.05) & (times < rec.samples / rec.rate - 0.05)
-            expected = inner & (jumps > detected.threshold)
+            expected = inner & (jumps > detected.detection_limit)
             _, matched, true_matched = score(detected.time, times, 2.0 / rec.rate)
             assert f1_score(matched, true_matched, expected) >= 0.98
-            assert detected.threshold < 3.5e-3
+            assert detected.detection_limit < 3.5e-3
 
 
 @pytest.mark.parametrize("quantity", ["acceleration", "displacement"])
@@ -129,7 +129,7 @@ def test_delta_sigma_filter_keeps_times_and_sizes(tmp_path, quantity):
         detected = detect_impacts(rec, "body1", start)
         times, jumps = true_impacts(rec, 1)
         inner = (times > start / rec.rate + 0.05) & (times < rec.samples / rec.rate - 0.05)
-        expected = inner & (jumps > detected.threshold)
+        expected = inner & (jumps > detected.detection_limit)
         _, matched, true_matched = score(detected.time, times, 2.0 / rec.rate)
     assert np.sum(true_matched & expected) > 25 and f1_score(matched, true_matched, expected) >= 0.98
     nearest = np.array([np.argmin(abs(detected.time - time)) for time in times[true_matched & expected]])
@@ -170,7 +170,7 @@ def test_threshold_is_proportional_to_noise(tmp_path):
             recording={"display": False},
         )
         with daq.open(daq.record(scene, tmp_path / f"{noise}.mcap")) as rec:
-            thresholds.append(detect_impacts(rec, "body1").threshold)
+            thresholds.append(detect_impacts(rec, "body1").detection_limit)
     assert thresholds[1] / thresholds[0] == pytest.approx(10.0, rel=0.15)
 
 
@@ -181,8 +181,8 @@ def test_noise_alone_gives_no_impact(tmp_path):
         with daq.open(path) as rec:
             detected = detect_impacts(rec, "body1")
         assert detected.time.size == 0
-        assert detected.threshold == pytest.approx((DETECTION_SIGMAS + DETECTION_MARGIN_SIGMAS) * detected.noise)
-        thresholds.append(detected.threshold)
+        assert detected.detection_limit == pytest.approx((DETECTION_SIGMAS + DETECTION_MARGIN_SIGMAS) * detected.noise)
+        thresholds.append(detected.detection_limit)
     assert 5.0 < thresholds[1] / thresholds[0] < 12.0
 
 

@@ -123,7 +123,7 @@ def true_impacts(case: Case, number: int) -> tuple[NDArray[np.float64], NDArray[
 def detectable(time: NDArray[np.float64], jump: NDArray[np.float64], detected: Impacts) -> NDArray[np.bool_]:
     """Return whether each impact should be detected: above the threshold, and not masked by a larger impact."""
     # Omit the thousands of tiny impacts at the end of bouncing: they mask no other impact.
-    is_detectable = abs(jump) > detected.threshold
+    is_detectable = abs(jump) > detected.detection_limit
     time, magnitude = time[is_detectable], abs(jump[is_detectable])
     distance = abs(time - time[:, None])
     larger = (distance < detected.min_interval) & (magnitude > magnitude[:, None])

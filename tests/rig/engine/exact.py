@@ -29,8 +29,8 @@ class Segment:
         self.omega = mpf(2.0 * 3.141592653589793 * scene.test.frequency) if scene.shaker else mpf(0)
         load = mpmath.matrix(n, 1)
         for j in on_floor:
-            body = int(structural_model(scene).bed_body[j])
-            damper_mass = mpf(float(structural_model(scene).bed_mass[j]))
+            body = int(structural_model(scene).damper_body[j])
+            damper_mass = mpf(float(structural_model(scene).damper_mass[j]))
             mass[body, body] += damper_mass
             load[body] -= damper_mass * self.gravity
         inverse_mass = mass**-1

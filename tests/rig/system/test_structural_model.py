@@ -126,9 +126,9 @@ def test_damper_mass_follows_from_mass_or_mass_ratio() -> None:
         dampers=[{"body": 3, "mass_ratio": "10 %", "clearance": ".inf"}, {"body": 1, "mass": "30 g", "clearance": 1e-3}]
     )
     # 10 % of body 3 (0.64 kg), and 30 g.
-    np.testing.assert_allclose(structural_model(scene).bed_mass, [0.064, 0.03], rtol=1e-15)
-    np.testing.assert_array_equal(structural_model(scene).bed_body, [2, 0])
-    assert structural_model(scene.replace(dampers=())).bed_mass.shape == (0,)
+    np.testing.assert_allclose(structural_model(scene).damper_mass, [0.064, 0.03], rtol=1e-15)
+    np.testing.assert_array_equal(structural_model(scene).damper_body, [2, 0])
+    assert structural_model(scene.replace(dampers=())).damper_mass.shape == (0,)
 
 
 def test_modes_of_negative_masses_are_rejected() -> None:

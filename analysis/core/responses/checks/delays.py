@@ -173,8 +173,8 @@ def _estimate_delays(curves: Sequence[Response]) -> list[_Delay | None]:
     if lines.size < _MIN_LINES:
         return [None] * len(curves)
     frequency, value, magnitude = receptances[0].frequency[lines], value[:, lines], magnitude[:, lines]
-    bound = np.stack([np.nan_to_num(curve.bound()[lines]) for curve in receptances])
-    error = np.where(bound <= _MAX_UNCERTAINTY * magnitude, 0.5 * bound, np.inf)
+    expanded = np.stack([np.nan_to_num(curve.bound()[lines]) for curve in receptances])
+    error = np.where(expanded <= _MAX_UNCERTAINTY * magnitude, 0.5 * expanded, np.inf)
     precise = np.flatnonzero(np.isfinite(error).sum(axis=1) >= _MIN_LINES)
     if not precise.size:
         return [None] * len(curves)

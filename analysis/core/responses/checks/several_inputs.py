@@ -54,9 +54,9 @@ def reciprocity(response: Response) -> tuple[Reciprocity, ...]:
             a, b = places[input_k.place], places[input_m.place]
             first, second = response.value[:, a, m], response.value[:, b, k]
             valid = np.isfinite(first) & np.isfinite(second)
-            difference, bound = (abs(first - second)[valid], (uncertainty[:, a, m] + uncertainty[:, b, k])[valid])
+            difference, expanded = (abs(first - second)[valid], (uncertainty[:, a, m] + uncertainty[:, b, k])[valid])
             mean = np.maximum(0.5 * abs(first + second)[valid], 1e-300)
-            within, deviation = float(np.mean(difference <= bound)), float(np.median(difference / mean))
+            within, deviation = float(np.mean(difference <= expanded)), float(np.median(difference / mean))
             pairs.append(Reciprocity((input_k.place, input_m.place), within, deviation))
     return tuple(pairs)
 

@@ -16,7 +16,7 @@ from rig import Scene
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.results.response import MOTIONS
 from rig.core.scene.shaker import Shaker
-from rig.core.system.structural_model import bed_masses, mass_matrix
+from rig.core.system.structural_model import damper_masses, mass_matrix
 
 # Multiples of the sample rate whose images are summed individually.
 _MULTIPLES = np.array([k for k in range(-8, 9) if k])
@@ -99,8 +99,8 @@ def _impact_ratio(scene: Scene, body: int) -> float:
     force in proportion to its mass, and impacts transmit at most this force.
     """
     masses = [
-        bed_mass
-        for damper, bed_mass in zip(scene.dampers, bed_masses(scene, mass_matrix(scene.structure)), strict=True)
+        damper_mass
+        for damper, damper_mass in zip(scene.dampers, damper_masses(scene, mass_matrix(scene.structure)), strict=True)
         if damper.body == body and damper.impacts and not (damper.contact or damper.grains)
     ]
     return float(sum(masses)) * _inverse_mass(scene, body)

@@ -25,7 +25,8 @@ from scipy.stats import qmc
 import analysis
 import daq
 import rig
-from rig.core.system.structural_model import natural_modes, receptance, structure_matrices
+from rig.core.system.natural_modes import natural_modes
+from rig.core.system.structural_model import receptance, structure_matrices
 from rig.studies.design.choice import COARSE_DENSITY, FINE_DENSITY, Choice, Objective
 from rig.studies.design.search import FINAL_DESIGNS, GRID_CLEARANCES, GRID_MASS_RATIOS
 from rig.studies.design.worst_peak import Peak

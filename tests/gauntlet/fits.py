@@ -29,7 +29,8 @@ import daq
 import rig
 from analysis.core.fitting.parameters import free_parameters, with_ratio_per_mode, with_values
 from rig.core.base.errors import ShotrigError
-from rig.core.system.structural_model import natural_modes, receptance, structure_matrices
+from rig.core.system.natural_modes import natural_modes
+from rig.core.system.structural_model import receptance, structure_matrices
 from tests.gauntlet.scenes import Draw, Settings, draw_chain
 
 # A determined parameter has at most this relative error, by the last part of its key in the scene file.

@@ -19,8 +19,8 @@ from rig.core.results.response import Response
 from rig.core.scene.scene import Scene
 from rig.core.scene.shaker import ForceShaker, at_shaker
 from rig.core.system.assembly import assemble, matrices_without_free_beds
+from rig.core.system.natural_modes import natural_modes
 from rig.core.system.open_loop_drive import riding_response
-from rig.core.system.structural_model import natural_modes
 
 # Number of points of a theoretical curve: its resonances remain smooth when a reader enlarges the figure.
 _POINTS = 3000

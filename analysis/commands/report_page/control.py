@@ -22,10 +22,10 @@ from analysis.core.tracking.continuation import AmplitudeCurve
 from daq.core.recording.recorded_test import shocks_of
 from rig.core.base.arrays import Array
 from rig.core.base.palette import BASELINE, CurveStyle, location_style
+from rig.core.numerics.decibels import from_decibels
 from rig.core.numerics.runs import ranges_of
 from rig.core.results import format_percent
 from rig.core.scene.excitation import FORCE_TOLERANCE
-from rig.core.scene.excitation.profile import from_decibels
 
 # The duration of a pulse is the time in which it exceeds this fraction of its peak.
 _VISIBLE_PART = 0.2

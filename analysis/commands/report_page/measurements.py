@@ -1,24 +1,21 @@
 """Results of all analyses of the recordings of a report, computed once for its summary, tables and charts."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import TracebackType
-from typing import NamedTuple, ParamSpec, Self, TypeVar
+from typing import ParamSpec, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from analysis.commands.figures.frf_figure import unstated_tolerances
-from analysis.commands.figures.peak_marks import MODE_SHIFT, PeakMark, peak_marks
-from analysis.commands.presentation.comparison import MeasurementPoints
+from analysis.commands.figures.peak_marks import PeakMark, peak_marks
 from analysis.commands.presentation.outputs import with_recording_name, with_sweep_name
 from analysis.core.damper_motion.comparison import (
     Peak,
-    PeakChange,
     peak_bands,
-    peak_changes,
     resonance_peak,
     resonance_peaks,
 )
@@ -26,8 +23,8 @@ from analysis.core.damper_motion.dampers import Dampers, dampers_in
 from analysis.core.decays.free_decay import Decay, decay
 from analysis.core.modal.identification import identify
 from analysis.core.modal.mode_warnings import extrapolates_damping
-from analysis.core.modal.modes import Modes, mac
-from analysis.core.recordings.names import OpenRecordings, baseline_label, relabel, scene_labels, sweep_name
+from analysis.core.modal.modes import Modes
+from analysis.core.recordings.names import OpenRecordings, baseline_label, relabel, scene_labels
 from analysis.core.responses.errors.systematic import clock_deviation, stated_tolerance
 from analysis.core.responses.frequency_responses import frequency_responses
 from analysis.core.responses.measurands import response_channels
@@ -37,7 +34,6 @@ from analysis.core.tracking.backbone import Backbone, backbone
 from analysis.core.tracking.continuation import AmplitudeCurve, continuation
 from daq.core.recording.recorded_test import FOLLOWED_CURVE, HELD_PHASE, ControlledTones, shocks_of
 from daq.core.recording.recording import Recording
-from rig.core.base.arrays import Array
 from rig.core.base.errors import ShotrigError
 from rig.core.base.progress import CountProgress
 from rig.core.results.resonances import Resonance
@@ -86,23 +82,6 @@ class SweepResults:
     def label(self) -> str:
         """Name of the recording, with level and direction if it has several sweeps."""
         return self.frfs[0].label
-
-
-class SweepChange(NamedTuple):
-    """Change of one peak from the first sweep of the baseline to a sweep of a different recording."""
-
-    baseline: str  # label of the first sweep of the baseline
-    compared: str  # label of the compared sweep
-    recording: str  # label of its recording
-    change: PeakChange
-    modes: Mapping[float, str] = {}  # natural frequencies of all modes of the baseline [Hz], and their labels
-    shown_in: tuple[str, float] = ("µm/N", 1e6)  # unit of the peaks, and the factor from SI to this unit
-    mac: float = 1.0  # modal assurance criterion between the mode and that of the compared sweep; 1 if unknown
-
-    @property
-    def level(self) -> str:
-        """Level and direction of the compared sweep; empty if its recording has a single sweep."""
-        return sweep_name(self.compared, self.recording)
 
 
 @dataclass(frozen=True)
@@ -162,49 +141,34 @@ class Measurements:
         label = baseline_label({result.label: not result.rec.scene.is_linear for result in self.results})
         return next((result for result in self.results if result.label == label), self.results[0])
 
-    def changes(self) -> list[SweepChange]:
-        """Compute the change of each resonance peak from the baseline to every other recording."""
-        baseline = self.baseline
-        others = [result for result in self.results if result is not baseline]
-        if not baseline.sweeps or baseline.sweeps[0].modes is None:
-            return []
-        return [
-            change
-            for other in others
-            if other.sweeps
-            for change in self._attempt(other.path, "Comparison", _peak_changes, baseline, other) or ()
-        ]
-
     def _measure(self, path: Path, label: str, rec: Recording) -> Measurement:
         frfs_of_sweeps = tracked = None
         spectra: Sequence[list[ShockSpectrum]] = ()
         tracking = next((analysis for tones, analysis in _TRACKED.items() if tones.measured(rec.markers)), None)
         if tracking is not None:
-            tracked = self._attempt(path, "Tracked curve", tracking, rec)
+            tracked = self.attempt(path, "Tracked curve", tracking, rec)
             if tracked is not None:
                 tracked = relabel(tracked, rec.scene.name, f"“{label}”")
         elif shocks_of(rec.markers):
-            spectra = self._attempt(path, "Shock response spectra", _shock_spectra, rec) or ()
+            spectra = self.attempt(path, "Shock response spectra", _shock_spectra, rec) or ()
         elif rec.test.drives:
-            frfs_of_sweeps = self._attempt(
-                path, "Frequency responses", frequency_responses, rec, progress=self.progress
-            )
+            frfs_of_sweeps = self.attempt(path, "Frequency responses", frequency_responses, rec, progress=self.progress)
         sweeps = tuple(self._evaluate_sweep(path, label, rec, frfs) for frfs in frfs_of_sweeps or ())
         has_damper_results = rec.test.kind.steady and rec.scene.dampers
         dampers = None
         if has_damper_results:
-            dampers = self._attempt(path, "Dampers", dampers_in, rec, label, self.progress)
+            dampers = self.attempt(path, "Dampers", dampers_in, rec, label, self.progress)
         for sweep_dampers in dampers or ():
             self._warn(path, [*sweep_dampers.missing, *sweep_dampers.warnings])
         free_decay = None
         if rec.test.decays:
-            free_decay = self._attempt(path, "Free decay", decay, rec)
+            free_decay = self.attempt(path, "Free decay", decay, rec)
             if free_decay is not None:
                 free_decay = relabel(free_decay, rec.scene.name, label)
                 self._warn(path, free_decay.warnings)
         check = None
         if rec.scene.test is not None and rec.scene.test.profile_control is not None:
-            check = self._attempt(path, "Profile", profile, rec)
+            check = self.attempt(path, "Profile", profile, rec)
         if check is not None:
             check = replace(check, label=f"“{label}”")
         return Measurement(path, label, rec, sweeps, tuple(dampers or ()), free_decay, check, tracked, tuple(spectra))
@@ -213,7 +177,7 @@ class Measurements:
         frfs = [relabel(frf, rec.scene.name, label) for frf in frfs]
         self._warn(path, frfs[0].warnings)
         (analysis,) = with_sweep_name(frfs[0].label, label, ["Modes"])
-        modes = self._attempt(path, analysis, identify, frfs)
+        modes = self.attempt(path, analysis, identify, frfs)
         resonances = [(frf, resonance_peaks(frf)) for frf in frfs]
         marked = tuple((frf, peak_marks(frf, found)) for frf, found in resonances)
         if modes is None:
@@ -223,7 +187,7 @@ class Measurements:
         highest = highest_peak(resonances, [peak for inside in found for peak in inside])
         return SweepResults(frfs, modes, found, highest, marked)
 
-    def _attempt(
+    def attempt(
         self,
         path: Path,
         analysis: str,
@@ -302,49 +266,3 @@ def force_deviation(measurement: Measurement, frf: Response) -> NDArray[np.float
     if scene.test is None or scene.level_key != "force":
         return np.zeros(frf.frequency.size)
     return np.asarray(abs(force[:, None] / np.array(scene.test.levels) - 1.0).min(axis=1))
-
-
-def _peak_changes(baseline: Measurement, other: Measurement) -> list[SweepChange]:
-    """Return the change of each peak from the baseline to a different recording."""
-    before = baseline.sweeps[0]
-    assert before.modes is not None
-    points, baseline_points = (
-        MeasurementPoints.of(measurement.path, measurement.rec) for measurement in (other, baseline)
-    )
-    points.comparable_with(baseline_points)
-    same_sensors = points.same_sensors(baseline_points)
-    modes = {float(frequency): before.modes.frequency_label(k) for k, frequency in enumerate(before.modes.frequency)}
-    return [
-        SweepChange(
-            before.label,
-            after.label,
-            other.label,
-            change,
-            modes,
-            before.frfs[0].shown_in,
-            _mac_of_mode(before.modes, after.modes, change.mode),
-        )
-        for after in other.sweeps
-        for change in peak_changes(before.modes, before.frfs, after.frfs, same_sensors)
-    ]
-
-
-def common_mac(before: Modes, after: Modes) -> Array | None:
-    """Return the modal assurance criterion at the common responses of two sweeps; None for fewer than two."""
-    common = [name for name in before.responses if name in after.responses]
-    shapes = [modes.shapes[[modes.responses.index(name) for name in common]] for modes in (before, after)]
-    return mac(*shapes) if len(common) > 1 else None
-
-
-def same_mode(modes: Modes, frequency: float) -> int | None:
-    """Return the index of the mode that is nearest to a frequency [Hz]; None if no mode is similar."""
-    deviation = abs(modes.frequency / frequency - 1.0)
-    return int(np.argmin(deviation)) if np.min(deviation, initial=np.inf) < MODE_SHIFT else None
-
-
-def _mac_of_mode(before: Modes, after: Modes | None, frequency: float) -> float:
-    """Return the MAC between a mode of the baseline and the mode of similar frequency of a sweep; 1 if unknown."""
-    if after is None or (values := common_mac(before, after)) is None:
-        return 1.0
-    first, second = same_mode(before, frequency), same_mode(after, frequency)
-    return 1.0 if first is None or second is None else float(values[first, second])

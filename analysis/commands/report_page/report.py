@@ -14,13 +14,15 @@ from analysis.commands.report_page.charts import ChartWriter
 from analysis.commands.report_page.control import control_charts
 from analysis.commands.report_page.dampers import damper_charts
 from analysis.commands.report_page.decays import decay_charts
-from analysis.commands.report_page.drawing import mode_drawing, rig_drawing
+from analysis.commands.report_page.drawing import rig_drawing
 from analysis.commands.report_page.histories import spectrograms, time_histories
 from analysis.commands.report_page.levels import level_table
 from analysis.commands.report_page.measurements import Measurement, Measurements
+from analysis.commands.report_page.mode_drawing import mode_drawing
 from analysis.commands.report_page.responses import force_charts, response_charts
 from analysis.commands.report_page.stabilization import stabilization_charts
 from analysis.commands.report_page.summary import limitations, summarize
+from analysis.commands.report_page.sweep_changes import sweep_changes
 from analysis.commands.report_page.tables import (
     budget,
     changes_table,
@@ -111,7 +113,7 @@ def _page(paths: Sequence[Path], output: Path | None) -> Path:
 def _body(measurements: Measurements, paths: Sequence[Path], note: str) -> tuple[list[str], list[str]]:
     """Return the summary, and the parts of all sections of the page as HTML."""
     results, charts = measurements.results, ChartWriter()
-    changes, baseline = measurements.changes(), measurements.baseline
+    changes, baseline = sweep_changes(measurements), measurements.baseline
     summary = summarize(results, changes)
     warnings = [f"<li>{typeset(warning)}</li>" for warning in measurements.warnings]
     counts = {"Warnings": f" ({len(warnings)})"}

@@ -11,13 +11,8 @@ from analysis.commands.figures.frf_figure import unstated_text
 from analysis.commands.presentation.damper_findings import detection_limits
 from analysis.commands.presentation.mode_findings import MIN_SAME_SHAPE_MAC
 from analysis.commands.report_page.levels import level_headline, level_points
-from analysis.commands.report_page.measurements import (
-    Measurement,
-    SweepChange,
-    SweepResults,
-    force_deviation,
-    missing_tolerances,
-)
+from analysis.commands.report_page.measurements import Measurement, SweepResults, force_deviation, missing_tolerances
+from analysis.commands.report_page.sweep_changes import SweepChange
 from analysis.commands.report_page.tables import change_text
 from analysis.core.damper_motion.dampers import Dampers
 from analysis.core.decays.free_decay import NO_INTERVAL

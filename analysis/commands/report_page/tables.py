@@ -13,12 +13,8 @@ from analysis.commands.figures.peak_marks import MODE_SHIFT
 from analysis.commands.presentation.comparison import change_table
 from analysis.commands.presentation.mode_findings import MIN_SAME_SHAPE_MAC
 from analysis.commands.presentation.shock_findings import pulse_table
-from analysis.commands.report_page.measurements import (
-    Measurement,
-    SweepChange,
-    common_mac,
-    same_mode,
-)
+from analysis.commands.report_page.measurements import Measurement
+from analysis.commands.report_page.sweep_changes import SweepChange, common_mac, same_mode
 from analysis.core.damper_motion.comparison import Peak, PeakChange
 from analysis.core.modal.modes import Modes
 from analysis.core.responses.errors.systematic import tolerance_text

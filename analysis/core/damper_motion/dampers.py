@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.core.damper_motion.energy_balance import EnergyBalance, energy_per_period, impact_energy_per_period
+from analysis.core.damper_motion.energy_balance import EnergyBalance, energy_per_period
+from analysis.core.damper_motion.impact_energy import impact_energy_per_period
 from analysis.core.damper_motion.motion_types import DamperMotion, damper_motion, motion_table
 from analysis.core.recordings.names import relabel
 from analysis.core.responses.measurands import motion_channel_at

@@ -13,8 +13,8 @@ from daq.core.excitation.profiles.identification import EXPECTED_PERIODS, MIN_CO
 from daq.core.excitation.profiles.spectrum_shaping import lines_between
 from daq.core.excitation.profiles.wave_replication import Pulse, Replication, pulse_of
 from daq.core.excitation.station import AbortedTest, Excitation, Station
+from rig.core.numerics.decibels import from_decibels
 from rig.core.scene.excitation import Shock
-from rig.core.scene.excitation.profile import from_decibels
 from rig.core.scene.excitation.shock import PULSE_POSITION
 from rig.core.scene.scene import Scene
 

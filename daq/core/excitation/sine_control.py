@@ -27,10 +27,10 @@ from daq.core.excitation.station import AbortedTest, Excitation, Station
 from daq.core.excitation.swept_sine import SweepProcedure
 from daq.core.signal_chain.channel import ChannelInfo
 from rig.core.base.arrays import Array
+from rig.core.numerics.decibels import in_decibels
 from rig.core.numerics.runs import runs_of
 from rig.core.results.text import format_decimals
 from rig.core.scene.excitation import SineControl
-from rig.core.scene.excitation.profile import in_decibels
 from rig.core.scene.scene import Scene
 from rig.core.system.structural_model import structural_model
 

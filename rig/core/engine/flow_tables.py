@@ -33,7 +33,8 @@ from rig.core.engine.law_tables import SignalTerms, bounded_signals, law_tables
 from rig.core.numerics.bernstein import N_COEFFICIENTS
 from rig.core.numerics.complementarity import ROUNDING
 from rig.core.numerics.simd import SUMS, aligned_zeros, padded_length
-from rig.core.system.hybrid_system import Drive, HybridSystem, hold_coordinates
+from rig.core.system.drive_generator import DriveGenerator
+from rig.core.system.hybrid_system import HybridSystem, hold_coordinates
 
 #: The product of step length [s] and largest rate [rad/s] is at most this; 0.7^16 / 16! = 1.6e-16 is below the
 #: machine epsilon of float64, 2.2e-16.
@@ -74,7 +75,7 @@ class FlowTables:
     `drive`: evolution of the inputs within a segment; `step`: step length h in seconds.
     """
 
-    def __init__(self, system: HybridSystem, drive: Drive, step: float) -> None:
+    def __init__(self, system: HybridSystem, drive: DriveGenerator, step: float) -> None:
         self.system = system
         self.drive = drive
         self.step = step
@@ -356,7 +357,7 @@ class FlowTables:
             constant_part[table_index][index] = value_constant
 
 
-def tables_for(system: HybridSystem, drive: Drive, step: float) -> FlowTables:
+def tables_for(system: HybridSystem, drive: DriveGenerator, step: float) -> FlowTables:
     """Return the tables of a system, from the cache if it was used recently."""
     values = [getattr(part, item.name) for part in (system, drive) for item in fields(part)]
     arrays = [value.tobytes() for value in values if isinstance(value, np.ndarray)]

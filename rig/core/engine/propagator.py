@@ -39,7 +39,8 @@ from rig.core.numerics.bernstein import N_COEFFICIENTS
 from rig.core.numerics.jit import RepeatedCall, kernel
 from rig.core.numerics.simd import LANES, aligned_zeros, padded_length
 from rig.core.settings.quantities import LENGTH
-from rig.core.system.hybrid_system import Drive, HybridSystem, first_order_hold, pure_tone
+from rig.core.system.drive_generator import DriveGenerator, first_order_hold, pure_tone
+from rig.core.system.hybrid_system import HybridSystem
 
 #: Minimum number of rows (events and discontinuities) of a new log.
 LOG_ROWS = 1024
@@ -136,7 +137,7 @@ class Propagator:
     if a damper is a bed of grains.
     """
 
-    def __init__(self, system: HybridSystem, drive: Drive, step: float) -> None:
+    def __init__(self, system: HybridSystem, drive: DriveGenerator, step: float) -> None:
         system.reject_grains()
         self.system, self.drive = system, drive
         self.tables = tables_for(system, drive, step)

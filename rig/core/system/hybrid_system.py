@@ -440,35 +440,3 @@ def hold_coordinates(mass: np.ndarray, coordinates: list[int]) -> None:
     """Change a mass matrix in place so that coordinates on which no force acts have no acceleration."""
     mass[coordinates], mass[:, coordinates] = 0.0, 0.0
     mass[coordinates, coordinates] = 1.0
-
-
-@dataclass(frozen=True)
-class Drive:
-    """Generator of the inputs u within a time segment: p' = generator p, u = output p.
-
-    The drive states p are, for example, the cosine and the sine of a tone.
-    `max_rate`: angular frequency of a tone [rad/s]; 0 for a sampled drive.
-    """
-
-    generator: np.ndarray
-    output: np.ndarray
-    max_rate: float
-
-    @property
-    def states(self) -> int:
-        """Number of drive states p."""
-        return self.generator.shape[0]
-
-
-def pure_tone(amplitudes: np.ndarray, angular_frequency: float) -> Drive:
-    """Return the drive u(t) = Re(U e^{i w t}) of a tone, p = (cos w t, sin w t), with `amplitudes` U of inputs."""
-    generator = np.array([[0.0, -angular_frequency], [angular_frequency, 0.0]])
-    amplitudes = np.asarray(amplitudes, dtype=complex)
-    return Drive(generator, np.column_stack([amplitudes.real, -amplitudes.imag]), angular_frequency)
-
-
-def first_order_hold(inputs: int, interval: float) -> Drive:
-    """Return the drive of linearly interpolated samples: p = (u, change of u over the sample `interval` [s])."""
-    generator = np.zeros((2 * inputs, 2 * inputs))
-    generator[:inputs, inputs:] = np.eye(inputs) / interval
-    return Drive(generator, np.hstack([np.eye(inputs), np.zeros((inputs, inputs))]), 0.0)

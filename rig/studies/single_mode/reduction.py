@@ -20,7 +20,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from rig.core.base.errors import SceneError
 from rig.core.scene.scene import STANDARD_GRAVITY, Scene
-from rig.core.system.structural_model import driven_bodies, natural_modes, structural_model
+from rig.core.system.natural_modes import natural_modes
+from rig.core.system.structural_model import driven_bodies, structural_model
 
 Weighting = Literal["printed", "energy"]
 

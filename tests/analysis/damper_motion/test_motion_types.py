@@ -19,8 +19,9 @@ import rig
 from analysis.commands.cli import app
 from analysis.commands.presentation.damper_findings import describe_motions, present_dampers
 from analysis.core.damper_motion import energy_balance
-from analysis.core.damper_motion.energy_balance import energy_per_period, impact_energy_per_period
+from analysis.core.damper_motion.energy_balance import energy_per_period
 from analysis.core.damper_motion.free_flight import BodyMotion, restitution
+from analysis.core.damper_motion.impact_energy import impact_energy_per_period
 from analysis.core.damper_motion.motion_types import DamperMotion, damper_motion
 from analysis.core.responses.checks.curve_checks import find_jumps
 from analysis.core.responses.errors.systematic import ASSUMED_TOLERANCE

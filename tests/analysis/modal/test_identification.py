@@ -20,7 +20,8 @@ from analysis.core.responses.errors.systematic import UNSETTLED
 from rig.core.base.errors import RecordingError, SceneError
 from rig.core.results.response import Response
 from rig.core.results.uncertainty import SENSITIVITY, UncertaintyBudget
-from rig.core.system.structural_model import natural_modes, structure_matrices
+from rig.core.system.natural_modes import natural_modes
+from rig.core.system.structural_model import structure_matrices
 from tests.analysis.responses import synthetic
 from tests.gauntlet.band_stability import draw_curves
 

@@ -27,14 +27,16 @@ from analysis.commands.presentation.mode_findings import describe_modes
 from analysis.commands.presentation.tables import modes_table
 from analysis.commands.report_page.charts import Chart, ChartWriter, Curve, EvenlySpaced, Panel, Strip
 from analysis.commands.report_page.decays import decay_charts
-from analysis.commands.report_page.drawing import mode_drawing, rig_drawing
+from analysis.commands.report_page.drawing import rig_drawing
 from analysis.commands.report_page.histories import time_histories
 from analysis.commands.report_page.levels import _highest_maximum, level_headline
-from analysis.commands.report_page.measurements import Measurement, Measurements, SweepChange, highest_peak
+from analysis.commands.report_page.measurements import Measurement, Measurements, highest_peak
+from analysis.commands.report_page.mode_drawing import mode_drawing
 from analysis.commands.report_page.report import page_title, write_report
 from analysis.commands.report_page.responses import force_charts, response_chart, response_charts
 from analysis.commands.report_page.stabilization import stabilization_charts
 from analysis.commands.report_page.summary import limitations, summarize
+from analysis.commands.report_page.sweep_changes import SweepChange
 from analysis.commands.report_page.tables import change_text, changes_table, mac_table, motions, resonances
 from analysis.commands.report_page.tables import test_sentence as sentence_of
 from analysis.core.damper_motion.comparison import Peak, PeakChange, local_model, resonance_peak, resonance_peaks

@@ -9,7 +9,8 @@ from scipy import signal
 import rig
 from daq.core.recording.recorder import Recorder
 from daq.core.signal_chain.channel import ChannelInfo
-from rig.core.system.structural_model import natural_modes, receptance, structure_matrices
+from rig.core.system.natural_modes import natural_modes
+from rig.core.system.structural_model import receptance, structure_matrices
 
 RATE = 2560.0  # Hz
 NATURAL_FREQUENCIES = (13.0365, 34.7773, 49.6629)  # Hz

@@ -17,7 +17,8 @@ from daq.core.signal_chain.channel import ChannelInfo
 from daq.extras.importing.channel_table import Column
 from rig.core.base.errors import RecordingError
 from rig.core.results.uncertainty import SENSITIVITY
-from rig.core.system.structural_model import natural_modes, receptance, structure_matrices
+from rig.core.system.natural_modes import natural_modes
+from rig.core.system.structural_model import receptance, structure_matrices
 from tests.analysis.responses import synthetic
 from tests.peak_memory import peak_memory
 

@@ -30,7 +30,7 @@ from rig.core.engine.state import N_EVENTS, PRESENT_SEGMENT, TABLE_INDEX, State,
 from rig.core.laws.events import CEILING, FLIGHT, FLOOR, SEPARATION
 from rig.core.numerics.complementarity import AT_LOW, FREE, ROUNDING
 from rig.core.system.assembly import assemble
-from rig.core.system.hybrid_system import pure_tone
+from rig.core.system.drive_generator import pure_tone
 from tests.rig.numerics.test_complementarity import solve_by_enumeration
 
 CLEARANCE = 2e-3  # m

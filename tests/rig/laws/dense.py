@@ -16,7 +16,8 @@ from rig.core.laws.events import NO_EVENT
 from rig.core.laws.law import SPEED, Law, Regime, Row, Transition
 from rig.core.numerics.bernstein import BERNSTEIN, MAX_HALVINGS, N_COEFFICIENTS, NO_CROSSING, first_crossing
 from rig.core.numerics.simd import aligned_zeros
-from rig.core.system.hybrid_system import Drive, HybridSystem
+from rig.core.system.drive_generator import DriveGenerator
+from rig.core.system.hybrid_system import HybridSystem
 
 #: The product of step and largest rate: the power series then has converged to rounding.
 MAX_RATE_TIMES_STEP = 0.5
@@ -89,7 +90,7 @@ class DenseMotion:
     magnitude of their power (`exchanged`), to which rounding errors are proportional.
     """
 
-    def __init__(self, system: HybridSystem, drive: Drive, state: Array) -> None:
+    def __init__(self, system: HybridSystem, drive: DriveGenerator, state: Array) -> None:
         """`state`: coordinates, velocities and drive; every element is in the regime at its start."""
         bodies, inputs = system.coordinates, drive.output
         assert system.states == 2 * bodies, "no further states"

@@ -6,7 +6,8 @@ import numpy as np
 
 import rig
 from rig.core.scene.scene_files import SCENES
-from rig.core.system.structural_model import natural_modes, structure_matrices
+from rig.core.system.natural_modes import natural_modes
+from rig.core.system.structural_model import structure_matrices
 
 
 def test_beam_script_reproduces_the_matrices_of_the_scene() -> None:

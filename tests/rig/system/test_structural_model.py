@@ -6,7 +6,8 @@ import pytest
 import rig
 from rig.core.base.errors import SceneError
 from rig.core.scene.structure import Structure
-from rig.core.system.structural_model import chain_matrix, natural_modes, structural_model, structure_matrices
+from rig.core.system.natural_modes import natural_modes
+from rig.core.system.structural_model import chain_matrix, structural_model, structure_matrices
 
 # The structure of Inoue, Yokomichi, Hiraki (2011).
 MASSES = (0.74, 0.71, 0.64)  # kg

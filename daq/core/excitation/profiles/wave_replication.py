@@ -12,7 +12,7 @@ from daq.core.dsp.shock_response import shock_response
 from daq.core.excitation.profiles.spectrum_shaping import Lines, sum_of_tones
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import SceneError
-from rig.core.scene.excitation.profile import in_decibels
+from rig.core.numerics.decibels import in_decibels
 from rig.core.scene.excitation.shock import PULSE_POSITION, HalfSine, Shock, ShockProfile
 
 # Minimum number of samples in a half sine; with fewer, its peak lies between two samples.

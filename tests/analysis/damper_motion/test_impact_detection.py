@@ -157,7 +157,7 @@ def test_integrated_channels_give_body_acceleration(tmp_path):
     assert np.nanmedian(abs(difference)) < 0.03 * np.nanmax(abs(direct.acceleration))
 
 
-def test_threshold_is_proportional_to_noise(tmp_path):
+def test_detection_limit_is_proportional_to_noise(tmp_path):
     thresholds = []
     for noise in (2e-3, 2e-2):
         scene = rig.load("fig8-three-dampers").replace(

@@ -119,7 +119,7 @@ def test_linear_resonance_is_not_a_jump(tmp_path):
 
 def motion_with(floor, ceiling, **fields):
     """Return a motion with these numbers of impacts per period."""
-    defaults = {"stays_at_ceiling": False, "threshold": 1e-3, "stays_on_floor": False}
+    defaults = {"stays_at_ceiling": False, "detection_limit": 1e-3, "stays_on_floor": False}
     return DamperMotion(**{"frequency": 30.0, "channel": "body2", **defaults, **fields}, floor=floor, ceiling=ceiling)
 
 

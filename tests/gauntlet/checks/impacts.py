@@ -1,6 +1,6 @@
 """Check of impacts: F1 score of the impacts detected in the channels, compared with the true impacts.
 
-True impacts count only above the detection threshold of the result. They do not count if, according to the result, they
+True impacts count only above the detection limit of the result. They do not count if, according to the result, they
 cannot be separated from a larger impact or are masked by its ringing. A detected impact may match any true impact
 within two samples (the main lobe of the converter's filter). With finite-duration contact, the impact is the start of
 the contact; wall, time and velocity jump must agree within the errors that the result gives.
@@ -121,7 +121,7 @@ def true_impacts(case: Case, number: int) -> tuple[NDArray[np.float64], NDArray[
 
 
 def detectable(time: NDArray[np.float64], jump: NDArray[np.float64], detected: Impacts) -> NDArray[np.bool_]:
-    """Return whether each impact should be detected: above the threshold, and not masked by a larger impact."""
+    """Return whether each impact should be detected: above the detection limit, and not masked by a larger impact."""
     # Omit the thousands of tiny impacts at the end of bouncing: they mask no other impact.
     is_detectable = abs(jump) > detected.detection_limit
     time, magnitude = time[is_detectable], abs(jump[is_detectable])

@@ -146,5 +146,5 @@ def describe_energy(energy: EnergyBalance, true_loss: np.ndarray | None = None) 
         "frequency / Hz", "supplied / mJ", "into dampers / %", "change if scene damping 10 % too high / %",
         "true impact loss / %",
     )  # fmt: skip
-    title = "Energy per period, at the frequencies where the force supplies most:"
+    title = "Energy per period, at the frequencies where the force supplies most energy:"
     return [title, *Table(heading, ">>>>>", rows).lines()]

@@ -16,7 +16,7 @@ from rig.core.base.palette import DAMPER, CurveStyle, location_style
 
 
 def damper_charts(measurement: Measurement) -> list[Chart]:
-    """Return one chart for all sweeps: impacts per period in each body, and energy dissipated by all dampers."""
+    """Return a chart of impacts per period in each body and of energy dissipated by dampers; none without dampers."""
     results = measurement.dampers
     if not results:
         return []

@@ -102,7 +102,7 @@ class Measurement:
 
     @property
     def drawn(self) -> list[str]:
-        """Channels in charts. Of many: some forces, then channels with the highest peak of a mode, then others."""
+        """Channels in charts; of many channels some forces, then those with the highest peaks of modes, then others."""
         channels = self.rec.channels
         forces = [name for name, info in channels.items() if info.quantity == "force"]
         highest = [pair[0].response for sweep in self.sweeps for pair in sweep.peaks if pair is not None]
@@ -249,7 +249,7 @@ def highest_peak(
 
 
 def missing_tolerances(measurements: Sequence[Measurement]) -> list[str]:
-    """Return the causes of errors that results lack: no tolerance of a sensor or sample clock is stated."""
+    """Return the causes of error that intervals omit, because a sensor or the sample clock has no stated tolerance."""
     missing = unstated_tolerances([frf for each in measurements for sweep in each.sweeps for frf in sweep.frfs])
     for rec in (each.rec for each in measurements if not each.sweeps):
         is_stated = all(stated_tolerance(info) for info in rec.channels.values() if info.quantity != "voltage")

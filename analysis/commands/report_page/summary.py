@@ -90,10 +90,8 @@ def _control_texts(measurement: Measurement) -> list[str]:
         f"largest deviation {max(deviations):.3g} {unit}."
     )
     if measurement.spectra:
-        several = f", {scatter_text(measurement.spectra)}"
-        text += (
-            f" Largest values of the shock response spectra, first shock, Q = {measurement.spectra[0][0].q:g}{several}:"
-        )
+        details = f"Q = {measurement.spectra[0][0].q:g}, {scatter_text(measurement.spectra)}"
+        text += f" Largest values of the shock response spectra of the first shock, {details}:"
     for each, *_ in measurement.spectra:
         peak = int(np.argmax(each.maximax))
         text += f"\n{each.channel}: {each.maximax[peak]:.3g} {each.unit} at {each.frequency[peak]:.3g} Hz"

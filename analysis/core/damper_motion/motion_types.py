@@ -293,6 +293,6 @@ def _min_acceleration(motion: BodyMotion, numbers: list[int], frequency: float) 
         if scene.dampers[number - 1].contact is not None:
             gain = transmissibility(scene, number, np.asarray(np.fft.rfftfreq(count, 1.0 / motion.rec.rate)))
             rows.append(np.fft.irfft(np.fft.rfft(rows[0]) * gain, count))
-    # The correction mirrors the samples at the ends of a segment, so the results there are inaccurate.
+    # The correction for the sensor mirrors the samples at the ends of a segment, so the results there are inaccurate.
     edge = min(int(np.ceil(motion.rec.rate / frequency)), count // 4)
     return float(min(row[edge:-edge].min() for row in rows) / max(1.0 - motion.tolerance, 1e-300))

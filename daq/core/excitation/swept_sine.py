@@ -168,7 +168,7 @@ class SweepProcedure(Procedure[SweepT]):
         return self.period_cpu_s * (test.from_ + test.to) / 2.0 * test.duration
 
     def frequency_at(self, test: SweepT, fraction: float) -> float:
-        """Return the frequency at a fraction, 0 to 1, of the sweep [Hz]."""
+        """Return the frequency [Hz] after a `fraction`, 0 to 1, of the duration."""
         return float(test.frequency_at(fraction))
 
 

@@ -1,4 +1,4 @@
-"""Converts data sheets into the stages of a channel: sensor, integrating amplifier, AC coupling."""
+"""Conversion of data sheets into the stages of a channel: sensor, integrating amplifier, AC coupling."""
 
 from dataclasses import replace
 

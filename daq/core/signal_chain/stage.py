@@ -43,7 +43,7 @@ class Stage:
         effects: dict[str, int] = {}
         for section in self.sections:
             effects[section.name] = effects.get(section.name, 0) + section.states
-        # Setting (None without the effect), and number of states.
+        # For each effect: its setting (None: absent), and its number of states.
         optional_effects = {
             "sensitivity deviation": (self.deviation or None, 0),
             "saturation": (self.limit or self.rails, 0),
@@ -56,7 +56,10 @@ class Stage:
 
 
 def is_averaged(stages: Sequence[Stage], converter: Converter) -> bool:
-    """Return whether each sample is an average over its interval; by default only without an integrating amplifier."""
+    """Return whether each sample is an average over its interval, by default without an integrating amplifier.
+
+    An integrating amplifier attenuates high frequencies itself.
+    """
     if converter.filter is not None or converter.sampling is not None:
         return converter.filter is None and converter.sampling == "average"
     return not any(section.name == INTEGRATION for stage in stages for section in stage.sections)

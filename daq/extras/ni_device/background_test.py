@@ -42,7 +42,7 @@ class BackgroundTest:
         self._position = 0  # position in the drive of the current block [ticks]
         self._readings: list[Array] = []  # readings of the current block
         self._drive = np.zeros((len(station.inputs), 0))  # drive of the current block at every tick
-        # Whether no test runs: the scene has no test, the test has ended or failed, or a task drives its output.
+        # Whether no test runs: the scene has none, it has ended or failed, or a task of a client drives an output.
         self.is_idle = station.scene.test is None
         if not self.is_idle:
             self._start_test("cannot run")

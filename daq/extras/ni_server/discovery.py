@@ -49,7 +49,9 @@ def _method_handler(method: Any, servicer_method: Callable[..., Any]) -> Any:
             return request_class.FromString(data)
         except DecodeError:
             expected = request_class.DESCRIPTOR.full_name
-            return context.abort(grpc.StatusCode.INVALID_ARGUMENT, f"the request cannot be decoded. Send a {expected}.")
+            return context.abort(
+                grpc.StatusCode.INVALID_ARGUMENT, f"the request cannot be decoded. Send a message of type {expected}."
+            )
 
     def respond(request: Any, context: grpc.ServicerContext) -> Any:
         if method.client_streaming:

@@ -69,7 +69,7 @@ def replay(
     if sum([save is not None, screenshot is not None, web]) > 1:
         raise SceneError("`save`, `screenshot` and `web` exclude each other: choose one of them.")
     if at is not None and screenshot is None:
-        raise SceneError("`at` requires `screenshot`. Add `screenshot` FILE.png, or omit `at`.")
+        raise SceneError("`at` requires `screenshot`. Give `screenshot` as well, or omit `at`.")
     if speed != 1.0 and screenshot is not None:
         raise SceneError("`speed` cannot be combined with `screenshot`. Omit one of them.")
     if not isinstance(recording, Recording):

@@ -2,7 +2,7 @@
 
 Around each frequency, two rational functions of type (2, 2) pass through five lines each: two poles, two zeros. They
 are computed from the null vector of a Loewner matrix, in barycentric form [1]_. Their mean is the interpolated value.
-Their difference bounds the error due to the spacing of the lines: it is small only if the lines resolve all resonances.
+Their difference estimates the error due to the spacing of the lines: it is small only if these resolve all resonances.
 
 Errors e_i of the values at the lines change a rational interpolant r = P / Q at the frequency t by ``sum(l_i(t) (Q(f_i)
 / Q(t))^2 e_i)``, with the Lagrange polynomials l_i of the lines f_i.
@@ -55,8 +55,8 @@ def interpolate_curve(
     """Interpolate a response between its frequencies, which are ascending; None if fewer than four are distinct.
 
     The uncertainty of the lines is propagated to first order. Errors of type A are independent, except for `shared`
-    neighbors. The error of a sensor or clock is the same at all lines. Errors with other limits are not assumed to be
-    related; their limits are added.
+    neighboring lines, which have a common error. The error of a sensor or clock is the same at all lines. How other
+    errors of neighboring lines are related is unknown, so their limits are added.
     """
     lines = np.flatnonzero(np.isfinite(value) & np.append(True, np.diff(frequency) > 0.0))
     count = lines.size

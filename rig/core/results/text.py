@@ -66,7 +66,7 @@ def round_to_uncertainty(value: float, expanded: float) -> str:
 
 
 def format_frequency(frequency: float, expanded: float) -> str:
-    """Write a frequency for a label: two decimals, or fewer if its expanded uncertainty is larger.
+    """Write a frequency for a label: two decimals, or fewer if its expanded uncertainty exceeds 0.01 Hz.
 
     >>> format_frequency(13.0365, 1e-4), format_frequency(33.63, 0.31), format_frequency(167.0, 17.0)
     ('13.04 Hz', '33.6 Hz', '170 Hz')
@@ -88,7 +88,7 @@ def format_interval(value: float, expanded: float) -> str:
 
 
 def _round_pair(value: float, expanded: float) -> tuple[str, str]:
-    """Round a number and its expanded uncertainty to the same digit, the uncertainty upwards at the last digit.
+    """Round a number of at most six digits and its expanded uncertainty to the same digit; the uncertainty upwards.
 
     >>> _round_pair(2.4213, 0.204), _round_pair(13.036529, 0.000071)
     (('2.42', '0.20'), ('13.0365', '0.0001'))
@@ -101,7 +101,7 @@ def _round_pair(value: float, expanded: float) -> tuple[str, str]:
 
 
 def format_limited(value: float, expanded: float, highest: float = inf) -> str:
-    """Write a quantity between 0 and a highest value with its interval, or with one limit if the other is out of range.
+    """Write a quantity between 0 and a highest value with its interval, or as "below" or "above" if one end is outside.
 
     An interval that is entirely out of range is written as it is.
 

@@ -101,7 +101,7 @@ class Matrices(Settings):
         if squared_frequency < 0.0:
             yield Problem(
                 ("stiffness",),
-                f"not positive semidefinite (squared natural frequency {squared_frequency:.3g} 1/s^2), so the "
+                f"not positive semidefinite (squared natural frequency {squared_frequency:.3g} rad²/s²), so the "
                 "structure is statically unstable; expected a stiffness matrix without negative eigenvalues",
             )
         elif self.damping is not None:

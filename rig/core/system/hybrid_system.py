@@ -67,7 +67,7 @@ class Element:
 
     @property
     def distance(self) -> float:
-        """Distance of the gap at rest from the nearest wall, or from the displacement at which it slips [m]."""
+        """Distance of the gap at rest, which is 0, to the nearest wall or to the displacement at which it slips [m]."""
         if self.slider >= 0:
             return self.clearance
         return min((abs(wall.gap) for wall in self.law.walls), default=np.inf)
@@ -227,7 +227,7 @@ class HybridSystem:
 
     @cached_property
     def hold_offset(self) -> np.ndarray:
-        """Holding force per mass of each element on both walls while its body is at rest; shape (elements, 2)."""
+        """Holding force per mass of each element at each of its walls, with its body at rest; shape (elements, 2)."""
         offsets = [
             [-self.other_acceleration(element, gap) if np.isfinite(gap) else 0.0 for gap in gaps]
             for element, gaps in zip(self.elements, self.wall_gap.tolist(), strict=True)
@@ -411,7 +411,7 @@ class HybridSystem:
 
     @property
     def poles(self) -> np.ndarray:
-        """Poles while no damper is in contact [rad/s]; shape (states,), complex."""
+        """Poles while every damper is in flight [rad/s], shape (states,), complex."""
         return np.asarray(np.linalg.eigvals(self.matrix()), dtype=complex)
 
     @cached_property

@@ -61,7 +61,7 @@ def natural_modes(mass: Array, stiffness: Array) -> tuple[Array, Array]:
     if squared_omega[0] < -rounding:
         raise SceneError(
             "structure: the stiffness matrix is not positive semidefinite (squared natural frequency "
-            f"{squared_omega[0]:.3g} 1/s^2), so the structure is statically unstable. Add springs that stabilize it."
+            f"{squared_omega[0]:.3g} rad²/s²), so the structure is statically unstable. Add springs that stabilize it."
         )
     if abs(squared_omega[0]) <= _MAX_AMPLIFIED_ROUNDING * rounding and is_positive_definite(stiffness):
         squared_omega, shapes = _modes_of_extreme_masses(mass, stiffness)
@@ -73,7 +73,7 @@ def natural_modes(mass: Array, stiffness: Array) -> tuple[Array, Array]:
 
 
 def _modes_of_extreme_masses(mass: Array, stiffness: Array) -> tuple[Array, Array]:
-    """Compute squared frequencies and shapes, each with a small relative error, of a structure that has a support.
+    """Compute the squared natural frequencies and mode shapes of a supported structure, all with small relative errors.
 
     With M = R R^T and K = L L^T, the frequencies are the singular values of R^-1 L. Jacobi's method is accurate even if
     they differ by many orders of magnitude (Z. Drmac, K. Veselic, SIAM J. Matrix Anal. Appl. 29 (2008) 1322-1362).

@@ -148,7 +148,7 @@ class ProfileControl:
 
     @property
     def profile_control(self) -> Self:
-        """The test itself."""
+        """The test, because it has profile control."""
         return self
 
     @property
@@ -159,10 +159,9 @@ class ProfileControl:
     def required(self, values: Array, frequency: Array) -> Array:
         """Return the ratio of required to measured values, for the control and each limited channel.
 
-        Infinite without limit.
-
-        The drive follows the smallest of these ratios. `values`: densities or amplitudes of the channels as in
-        `named_channels`, shape (channels, n); `frequency`: Hz, shape (n,). Returns shape (1 + limits, n).
+        The drive follows the smallest of these ratios; a ratio is infinite where its limit is not defined. `values`:
+        densities or amplitudes of the channels as in `named_channels`, shape (channels, n); `frequency`: Hz, shape
+        (n,). Returns shape (1 + limits, n).
         """
         count = len(self.control.channels)
         bounds = np.array([each.at(frequency) for each in (self.profile, *self.limits)])

@@ -52,6 +52,8 @@ _HEADING = (
     "shift_low_Hz", "shift_high_Hz", "peak_from m/N", "bound_from m/N", "peak_to m/N", "bound_to m/N",
 )  # fmt: skip
 
+# Cell of the table for a value that is not determined.
+_NO_VALUE = "–"
 # Warning if the 95 % interval of a peak is unbounded.
 _UNBOUNDED_PEAKS = (
     "Some peaks may be higher than measured. Possible causes: only three points; a jump, a gap or the end of the curve "
@@ -179,13 +181,13 @@ def change_table(changes: Sequence[PeakChange], shown_in: tuple[str, float]) -> 
         before, after = change.height_texts(shown_in[1])
         cells = change.response, change.mode_label.removesuffix(" Hz")
         if change.damped.at_end:
-            rows.append((*cells, "", "", before, "none", "", "", ""))
+            rows.append((*cells, _NO_VALUE, _NO_VALUE, before, "none", _NO_VALUE, _NO_VALUE, _NO_VALUE))
             continue
         is_determined = change.baseline.is_determined and change.damped.is_determined
         rows.append((
             *cells, *_format_change(change.decibel, change.decibel_decimals, is_determined), before, after,
             *_format_change(change.shift, change.shift_decimals),
-            f"{100 * change.equivalent_damping:.2g}" * is_determined,
+            f"{100 * change.equivalent_damping:.2g}" if is_determined else _NO_VALUE,
         ))  # fmt: skip
     heading = (
         "response", "mode / Hz", "change / dB", "95 % interval / dB", f"before / ({shown_in[0]})",
@@ -215,12 +217,12 @@ def _format_change(value: tuple[float, float, float], digits: int, is_determined
     """
     estimate, low, high = (f"{number:+.{digits}f}" for number in value)
     if isinf(value[1]) and isinf(value[2]):
-        return "unknown", ""
+        return "unknown", _NO_VALUE
     if isinf(value[1]):
-        return "", f"below {high}"
+        return _NO_VALUE, f"below {high}"
     if isinf(value[2]):
-        return "", f"above {low}"
-    return estimate * is_determined, f"{low} to {high}"
+        return _NO_VALUE, f"above {low}"
+    return estimate if is_determined else _NO_VALUE, f"{low} to {high}"
 
 
 def present_compare(

@@ -805,7 +805,7 @@ def test_undetermined_peak_is_a_lower_bound() -> None:
     change = PeakChange("body1", 13.04, 0.01, Peak(2136e-6, 66e-6, 13.04, 13.0, 13.1), uncertain)
     assert change.height_texts(1e6) == ("2136", "≥ 448")
     [row] = change_table([change], ("µm/N", 1e6)).rows
-    assert row[2] == row[-1] == "" and row[3].startswith("-13.")
+    assert row[2] == row[-1] == "–" and row[3].startswith("-13.")
 
 
 def test_change_of_undetermined_peak_is_an_interval() -> None:

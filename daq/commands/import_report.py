@@ -1,6 +1,7 @@
 """Lines that the command `daq import` prints: the signals of files, or the result of an import."""
 
 import json
+import re
 import shlex
 import sys
 import warnings
@@ -19,6 +20,9 @@ from rig.core.base.errors import RunWarning
 from rig.core.base.escaping import escape_terminal
 from rig.core.scene.scene import Scene
 
+# Name of a column of frequencies, in English, German and French.
+_FREQUENCY = re.compile(r"fre[qk]|fréq", re.IGNORECASE)
+
 
 def listing(files: Sequence[Path]) -> Iterator[str]:
     """Yield the signals of files as lines of a table that can be edited and given to `--table`."""
@@ -26,6 +30,9 @@ def listing(files: Sequence[Path]) -> Iterator[str]:
         # All files are checked before the first line is printed.
         signals_by_file = [(path, signals_of(path, stack)) for path in files]
         for path, signals in signals_by_file:
+            first = signals[0]
+            if first.rate is None and (first.unit == "Hz" or _FREQUENCY.match(first.name)):
+                yield f"# {path} begins with frequencies. If it contains frequency responses: analysis modes {path}"
             yield f"# {path}; replace signal1, ... by the names of the scene's channels"
             for signal in signals:
                 unit = f", unit: {_quoted(signal.unit)}" if signal.unit else ""

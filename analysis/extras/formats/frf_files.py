@@ -25,7 +25,7 @@ from rig.core.base.input_files import as_path
 from rig.core.results.response import MOTIONS, Response, stack
 from rig.core.results.uncertainty import SYSTEMATIC
 from rig.core.results.universal_file import BOUND_LINE, DEVIATION_LINE, FRF, GENERAL, RESOLUTION_LINE
-from rig.core.settings.quantities import DASHPOT, FREQUENCY, MASS, STIFFNESS, Kind
+from rig.core.settings.quantities import DASHPOT, FREQUENCY, MASS, STIFFNESS, Kind, is_unit
 
 _ARRAY_ENDINGS = (".mat", ".h5", ".hdf5", ".npz", ".npy")
 # Heading of a column: name of the response, component, and unit of the phase.
@@ -37,9 +37,15 @@ _COLUMN_NAME = re.compile(
     re.IGNORECASE,
 )
 # The component before the name, as circuit simulators write it: ``Re(tip)``.
-_COMPONENT_OF_NAME = re.compile(r"^(re|im|abs|mag|phi|phase)\((.*)\)$", re.IGNORECASE)
+_COMPONENT_OF_NAME = re.compile(r"^(re|im|abs|mag|phi|phase)[({](.*)[)}]$", re.IGNORECASE)
+# The component as the first word: ``Real H11``.
+_COMPONENT_BEFORE_NAME = re.compile(
+    r"^(real|imag\w*|mag\w*|modulus|amplitude|phase)(?:[\s_.]+part)?[\s_.]+(\w.*)$", re.IGNORECASE
+)
 # Unit of a phase; the column before it contains the magnitude.
 _ANGLE = re.compile(r"deg(rees?)?|°|rad(ians?)?|grad", re.IGNORECASE)
+# Beginning of a unit that pint does not know, or that does not begin with a letter.
+_ANGLE_OR_DECIBELS = re.compile(rf"({_ANGLE.pattern})$|db|\W|1/", re.IGNORECASE)
 # Unit of a magnitude in decibels, after "dB": a reference value, and its unit.
 _DECIBELS = re.compile(
     r"(?:re(?:f\w*)?\.?:?\s*|/\s*)?(?P<reference>\d[\d.]*(?:e[+-]?\d+)?)?\s*(?P<unit>[^\d\s].*)?", re.IGNORECASE
@@ -330,14 +336,21 @@ def _from_table(path: Path, unit: str | None) -> list[Response]:
             columns[k - 1] = f"{name} magnitude", column_unit, magnitude
             columns[k] = f"{name} phase", phase_unit, phase
     components: dict[str, dict[str, tuple[str, Array]]] = {}
-    for name, column_unit, values in columns:
+    for heading, column_unit, values in columns:
+        name, column_unit = _with_component(heading, column_unit)
         match = _COLUMN_NAME.fullmatch(_COMPONENT_OF_NAME.sub(r"\2 \1", name))
+        match = match or _COLUMN_NAME.fullmatch(_COMPONENT_BEFORE_NAME.sub(r"\2 \1", name))
         if match is None:
             raise RecordingError(
                 f"{path}: column {name!r}; expected a name that ends in real, imag, magnitude or phase. {_IMPORT}"
             )
-        component = _COMPONENTS[match[2][0].lower()]
-        components.setdefault(match[1].strip("|/") or "response", {})[component] = (match[3] or column_unit, values)
+        response, component = match[1].strip("|/") or "response", _COMPONENTS[match[2][0].lower()]
+        if component in components.setdefault(response, {}):
+            raise RecordingError(
+                f"{path}: column {heading!r} is a second column for {component} of {response}. Give the columns the "
+                "names of their responses, such as 'tip real' and 'tip imag'."
+            )
+        components[response][component] = (match[3] or column_unit, values)
     curves, incomplete = [], []
     for name, pair in components.items():
         _, coherence = pair.pop("coherence", ("", None))
@@ -369,6 +382,20 @@ def _from_table(path: Path, unit: str | None) -> list[Response]:
     if not curves:
         raise RecordingError(f"{path}: {missing}")
     return [curve.warn(f"A response is omitted: {missing}") for curve in curves] if incomplete else curves
+
+
+def _with_component(name: str, unit: str) -> tuple[str, str]:
+    """Return the name of a column with the component of its response, which may stand in brackets, like a unit.
+
+    >>> _with_component("H11", "real"), _with_component("Real", "H11"), _with_component("Real", "m/N")
+    (('H11 real', ''), ('H11 Real', ''), ('Real', 'm/N'))
+    """
+    if unit and _COLUMN_NAME.fullmatch(unit):
+        return f"{name} {unit}", ""
+    match = _COLUMN_NAME.fullmatch(name)
+    if match is None or match[1] or not unit or is_unit(unit) or _ANGLE_OR_DECIBELS.match(unit):
+        return name, unit
+    return f"{unit} {name}", ""
 
 
 def _linear_magnitude(where: str, unit: str, magnitude: Array) -> tuple[str, Array]:

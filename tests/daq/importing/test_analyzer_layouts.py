@@ -11,6 +11,7 @@ import pytest
 import scipy
 
 import analysis
+from daq.commands.import_report import listing
 from daq.extras.importing.files import signals_of
 from daq.extras.importing.text_table import text_signals
 from daq.extras.importing.units import quantity_and_scale
@@ -215,6 +216,39 @@ def test_complex_numbers_are_read(heading: str, form: str, tmp_path: Path) -> No
     [curve] = analysis.read_frfs(tmp_path / "a.txt")
     assert curve.response == "tip"
     np.testing.assert_allclose(curve.value, ACCELERANCE, rtol=1e-7)
+
+
+@pytest.mark.parametrize(
+    "forms",
+    [
+        ("Real {}", "Imag {}"),
+        ("Real Part {}", "Imaginary Part {}"),
+        ("Real({})", "Imag({})"),
+        ("{} (real)", "{} (imag)"),
+        ("Re{{{}}}", "Im{{{}}}"),
+        ("{}: real", "{}: imag"),
+    ],
+)
+def test_component_stands_before_or_after_name(forms: tuple[str, str], tmp_path: Path) -> None:
+    heading = ["f [Hz]", *(form.format(name) for name in ("H11", "H21") for form in forms)]
+    rows = np.concatenate([REAL_IMAG, -2.0 * REAL_IMAG[:, 1:]], axis=1)
+    np.savetxt(tmp_path / "a.csv", rows, delimiter=",", header=",".join(heading), comments="")
+    curves = analysis.read_frfs(tmp_path / "a.csv", unit="m/s^2/N")
+    assert list(curves.keys()) == ["H11", "H21"]
+    np.testing.assert_allclose(curves["H21"].value, -2.0 * curves["H11"].value, rtol=1e-12)
+
+
+def test_two_columns_for_one_component_are_refused(tmp_path: Path) -> None:
+    np.savetxt(tmp_path / "a.csv", REAL_IMAG[:, [0, 1, 1]], delimiter=",", header="f [Hz],real,real", comments="")
+    with pytest.raises(RecordingError, match="column 'real' is a second column for real of response"):
+        analysis.read_frfs(tmp_path / "a.csv", unit="m/N")
+
+
+def test_listing_of_frequencies_names_command_for_responses(tmp_path: Path) -> None:
+    np.savetxt(tmp_path / "a.csv", REAL_IMAG, delimiter=",", header="Frequency,Real H11,Imag H11", comments="")
+    assert f"If it contains frequency responses: analysis modes {tmp_path / 'a.csv'}" in next(
+        listing([tmp_path / "a.csv"])
+    )
 
 
 def test_complex_number_without_heading_is_read(tmp_path: Path) -> None:

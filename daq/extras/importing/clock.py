@@ -20,7 +20,9 @@ from rig.core.results import format_percent
 from rig.core.settings.quantities import TIME, parse
 
 # Names of a column of times.
-TIME_NAMES = re.compile(r"((date|datum)[ _/&]?)?(time|zeit|t|x_value|seconds?)(stamp)?", re.IGNORECASE)
+TIME_NAMES = re.compile(
+    r"((date|datum|unix|posix|epoch)[ _/&]?)?(time|zeit|t|x_value|seconds?)(stamp)?|epoch|unix", re.IGNORECASE
+)
 
 # Relative rounding error of a number with all its digits.
 _RATE_ROUNDING = 1e-12

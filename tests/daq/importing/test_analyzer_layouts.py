@@ -174,6 +174,14 @@ def test_even_signal_shows_no_line_numbers(tmp_path: Path) -> None:
         assert [signal.rate for signal in text_signals(tmp_path / "a.csv", stack)] == [None, None, None]
 
 
+@pytest.mark.parametrize("name", ["epoch", "unixtime", "Unix_Time", "timestamp"])
+def test_seconds_since_1970_are_times(name: str, tmp_path: Path) -> None:
+    rows = "".join(f"{1714737600 + k / 1000:.6f},{np.sin(k)}\n" for k in range(40))
+    (tmp_path / "a.csv").write_text(f"{name},ax\n{rows}")
+    with ExitStack() as stack:
+        assert [(signal.name, signal.rate) for signal in text_signals(tmp_path / "a.csv", stack)] == [("ax", 1000.0)]
+
+
 def test_complex_numbers_need_frequencies(tmp_path: Path) -> None:
     (tmp_path / "a.txt").write_text("(1.5+2.5j)\n(1.25-0.5j)\n(1.0+1.5j)\n")
     with ExitStack() as stack, pytest.raises(RecordingError, match="complex numbers without frequencies"):

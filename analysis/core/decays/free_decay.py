@@ -47,6 +47,9 @@ NO_INTERVAL = "times without interval, because one impact has no scatter"
 INITIAL_DECAY_DB = -1.0, -11.0
 # Below this fraction of the initial energy, only rounding errors remain in the backward integral.
 _MIN_ENERGY_RATIO = 1e-30
+# Rounding changes amplitudes below about 6 counts too much, and the first reported amplitude is 4 dB below the
+# largest.
+_MIN_COUNTS = 10.0
 # If the channel is overloaded for more than this fraction of a decay, its amplitudes are unusable.
 _MAX_OVERLOADED_FRACTION = 0.1
 # Lost samples are interpolated if they are at most this fraction of a decay.
@@ -210,8 +213,7 @@ def decay(rec: Recording, channel: str | None = None, impact: int = 1, modes: in
     # The structure in the scene of an imported recording may be a placeholder.
     max_modes = modes if modes is not None or rec.source else rec.scene.structure.bodies
     # The search range ends at least an octave above the highest mode of the scene.
-    linear_modes = structural_model(rec.scene).modes.frequency
-    highest_mode = max(HIGHEST_MODE_HZ, 2.0 * float(linear_modes.max()))
+    highest_mode = max(HIGHEST_MODE_HZ, 2.0 * float(structural_model(rec.scene).modes.frequency.max()))
     lowest_mode = max(LOWEST_MODE_HZ, rec.rate / (decay_stop - decay_start))
     upper_limit = min(0.4 * rec.rate, 4.0 * highest_mode)
     acceleration = correct_motion(info, samples, "acceleration", lowest_mode, upper_limit)
@@ -221,33 +223,8 @@ def decay(rec: Recording, channel: str | None = None, impact: int = 1, modes: in
     last_change = int(np.flatnonzero(np.diff(samples))[-1]) + 1
     recorded = acceleration[: max(last_change + 1, begin + _MIN_SAMPLES)]
     peak_frequencies = spectral_peaks(recorded[begin:], rec.rate, max_modes, lowest_mode, highest_mode)
-    clock = clock_deviation(rec)
-    # A damper gives one mode several poles, like close modes of a linear structure.
-    near = np.sum(abs(linear_modes / peak_frequencies[:, None] - 1.0) < SAME_MODE_RATIO, axis=1)
-    is_single = (near < 2) & (not rec.scene.is_linear) & (not rec.source)
-    frequencies, overlaps = resolve_close_modes(recorded, rec.rate, peak_frequencies, begin, is_single)
-    counts = count_of_motion(info, frequencies, "acceleration")
-    decays = tuple(
-        modal_decay(
-            recorded,
-            rec.rate,
-            float(frequency),
-            band_width(frequencies, index),
-            begin,
-            clock=clock,
-            overlap=overlaps[index],
-            count=float(counts[index]),
-        )
-        for index, frequency in enumerate(frequencies)
-    )
-    pairs = zip(decays, overlaps, strict=True)
-    close = [each for each, overlap in pairs if overlap.is_close and not each.damping.size]
-    if close:
-        listed = ", ".join(f"{each.center:.4g}" for each in close)
-        warnings.append(
-            f"The modes at {listed} Hz are too close to other modes: their envelopes in {info.name} cannot be "
-            "separated within the record. `analysis modes` determines their damping."
-        )
+    decays, mode_warnings = _modal_decays(rec, info, recorded, begin, peak_frequencies)
+    warnings += mode_warnings
     if max_modes is not None and len(decays) < max_modes:
         warnings.append(
             f"Only {len(decays)} of {max_modes} modes have a peak in the decay of {info.name} between "
@@ -281,6 +258,59 @@ def decay(rec: Recording, channel: str | None = None, impact: int = 1, modes: in
         gravity=rec.scene.gravity or STANDARD_GRAVITY,
         warnings=tuple(warnings),
     )
+
+
+def _modal_decays(
+    rec: Recording, info: ChannelInfo, acceleration: Array, begin: int, peaks: Array
+) -> tuple[tuple[ModalDecay, ...], list[str]]:
+    """Return the decays of the modes at the `peaks` of the spectrum [Hz], and warnings about undetermined ones.
+
+    `acceleration`: m/s²; `begin`: sample at which the free decay begins.
+    """
+    # A damper gives one mode several poles, like close modes of a linear structure.
+    linear_modes = structural_model(rec.scene).modes.frequency
+    near = np.sum(abs(linear_modes / peaks[:, None] - 1.0) < SAME_MODE_RATIO, axis=1)
+    is_single = (near < 2) & (not rec.scene.is_linear) & (not rec.source)
+    frequencies, overlaps = resolve_close_modes(acceleration, rec.rate, peaks, begin, is_single)
+    counts = count_of_motion(info, frequencies, "acceleration")
+    clock = clock_deviation(rec)
+    decays = tuple(
+        modal_decay(
+            acceleration,
+            rec.rate,
+            float(frequency),
+            band_width(frequencies, index),
+            begin,
+            clock=clock,
+            overlap=overlaps[index],
+            count=float(counts[index]),
+        )
+        for index, frequency in enumerate(frequencies)
+    )
+    undetermined = [index for index, each in enumerate(decays) if not each.damping.size]
+    close = [index for index in undetermined if overlaps[index].is_close]
+    few_counts = [
+        index
+        for index in undetermined
+        if index not in close and decays[index].envelope.max(initial=0.0) < _MIN_COUNTS * counts[index]
+    ]
+    warnings = []
+    if close:
+        warnings.append(
+            f"The modes at {_listed(frequencies[close])} Hz are too close to other modes: their envelopes in "
+            f"{info.name} cannot be separated within the record. `analysis modes` determines their damping."
+        )
+    if few_counts:
+        warnings.append(
+            f"The damping of the modes at {_listed(frequencies[few_counts])} Hz is undetermined: their amplitudes in "
+            f"{info.name} are below {_MIN_COUNTS:.0f} counts of the converter. Use a more sensitive sensor, or a "
+            "smaller range."
+        )
+    return decays, warnings
+
+
+def _listed(frequencies: Array) -> str:
+    return ", ".join(f"{frequency:.4g}" for frequency in frequencies)
 
 
 def _read_samples(rec: Recording, info: ChannelInfo, impact: int, start: int, stop: int) -> tuple[Array, list[str]]:

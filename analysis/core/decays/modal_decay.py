@@ -45,7 +45,8 @@ _MAX_POINTS = 64
 class ModalDecay(Result):
     """Decay of one mode after a band-pass filter.
 
-    Standard uncertainties include noise, the bias of averaging over neighboring amplitudes, and the clock.
+    Standard uncertainties include noise, rounding to counts, other modes, the bias of averaging over neighboring
+    amplitudes, and the clock.
     """
 
     # natural frequency at the amplitude with the smallest uncertainty [Hz]; `center` if no amplitude determines it

@@ -143,6 +143,7 @@ def test_few_counts_do_not_bias_damping(tmp_path, peak):
         assert np.all(abs(mode.damping - 0.01) < 3.0 * mode.damping_std)
         assert mode.noise > 0.01
     assert sum(mode.damping.size for mode in decay.modes) >= (3 if peak > 50 else 0)
+    assert any("below 10 counts of the converter" in text for text in decay.warnings) == (peak < 50)
 
 
 @pytest.mark.parametrize("amplitude", [0.0, 1.0])

@@ -55,9 +55,9 @@ def shock_figure(
             set_log_scale(axis)
         add_title(axes, title)
         signed = " Dashed: positive. Dotted: negative." if len(spectra) == 1 else ""
-        part = "the first shock" if is_first_shock else "the chosen part"
+        part, scatter = "the first shock" if is_first_shock else "the chosen part", ""
         if len(paths) == 1 and is_first_shock and len(shocks_of(rec.markers)) > 1:
-            part += f"; {scatter_text([spectra_of_shocks(rec, each.channel, q) for _, each in spectra])}"
+            scatter = f"; {scatter_text([spectra_of_shocks(rec, each.channel, q) for _, each in spectra])}"
         maximax = f"Largest magnitude of the absolute acceleration (maximax) in {part}"
-        add_legend_below(figure, f"{maximax}, at {OCTAVE_STEPS} natural frequencies per octave.{signed}")
+        add_legend_below(figure, f"{maximax}, at {OCTAVE_STEPS} natural frequencies per octave{scatter}.{signed}")
         return figure

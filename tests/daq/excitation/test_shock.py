@@ -1,5 +1,6 @@
 """Shock tests: pulses within their tolerance, messages of tests that abort, and a device with a queue."""
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -194,6 +195,13 @@ def test_shock_is_offered_on_page() -> None:
     from daq.extras.bench_page.live_bench import offered_forms
 
     assert [*offered_forms(scene())] == ["shock of the scene"]
+
+
+def test_shock_figure_names_differences_last(tmp_path: Path) -> None:
+    path = daq.record(scene(repeats=2), tmp_path / "shock.mcap")
+    CliRunner().invoke(app, ["srs", str(path), "--channel", "table", "-o", str(tmp_path)])
+    caption = " ".join(re.sub("<[^>]*>", " ", (tmp_path / "shock-srs.svg").read_text(encoding="utf-8")).split())
+    assert re.search(r"natural frequencies per octave; the \d+ shocks differ by at most [\d.]+ %\.", caption)
 
 
 def test_recorded_shock_is_evaluated(shock: Path, tmp_path: Path) -> None:

@@ -168,11 +168,15 @@ def _caption(frfs: Sequence[Response], marks: Sequence[PeakMark], has_bars: bool
         sentences.append(f"No phase where {'undetermined or ' * is_undetermined}scattered.")
     if any(frf.unsteady is not None and frf.unsteady.any() for frf in frfs):
         sentences.append("Crosses: steady state not reached.")
-    if any(frf.frequency.size <= MAX_MARKED and not folds_back(frf.frequency) for frf in frfs):
+    has_thin_curve = any(frf.frequency.size <= MAX_MARKED and not folds_back(frf.frequency) for frf in frfs)
+    if has_thin_curve:
         sentences.append("Thin curve: local model.")
     if any(MAX_MARKED < frf.frequency.size <= MAX_POINTS and not folds_back(frf.frequency) for frf in frfs):
         sentences.append("Markers: at some of the points.")
-    sentences += [text for symbol, text in PEAK_SYMBOLS.items() if symbol in symbols]
+    symbol_texts = [text for symbol, text in PEAK_SYMBOLS.items() if symbol in symbols]
+    if has_thin_curve:
+        symbol_texts = [text.replace("peaks of the local model", "its peaks") for text in symbol_texts]
+    sentences += symbol_texts
     sentences += ["Labels: peaks, not modes."] * bool(symbols)
     if not all(mark.is_steady for mark in marks):
         sentences.append("In parentheses: steady state not reached.")

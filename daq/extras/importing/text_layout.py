@@ -158,7 +158,9 @@ def detect_layout(path: Path, lines: list[str], encoding: str) -> Layout:
                 continue
             parts = [complex_parts(cell) for cell in cells]
             numbers = [*chain(*parts)]
-            decimal_comma = any("," in part for part in numbers)
+            decimal_comma = any("," in part for part in numbers) or (
+                _are_numbers(numbers, decimal_comma=False) and _has_decimal_comma(lines[number:], delimiter)
+            )
             layout = Layout(encoding, delimiter, decimal_comma, number, [], [])
             if _are_numbers(numbers, decimal_comma):
                 if number:
@@ -177,6 +179,22 @@ def detect_layout(path: Path, lines: list[str], encoding: str) -> Layout:
     raise RecordingError(
         f"{path}: no line of numbers among the first {len(lines)} lines. Export the data as a table of numbers."
     )
+
+
+def _has_decimal_comma(lines: Sequence[str], delimiter: str | None) -> bool:
+    """Return whether the first number with a decimal mark, below a line of whole numbers, has a comma.
+
+    >>> _has_decimal_comma(["1;0", "2;0,5", "3;0.5"], ";"), _has_decimal_comma(["1;0.5", "2;0,5"], ";")
+    (True, False)
+    """
+    numbers = (
+        part
+        for line in lines[:_MAX_EXAMINED_ROWS]
+        for cell in _split_pairs(line, delimiter)
+        for part in complex_parts(cell)
+        if ("," in part or "." in part) and parse_number(part, decimal_comma="," in part) is not None
+    )
+    return "," in next(numbers, "")
 
 
 def _require_heading(path: Path, number: int, lines: Sequence[str], layout: Layout, count: int) -> None:

@@ -174,6 +174,15 @@ def test_even_signal_shows_no_line_numbers(tmp_path: Path) -> None:
         assert [signal.rate for signal in text_signals(tmp_path / "a.csv", stack)] == [None, None, None]
 
 
+@pytest.mark.parametrize("delimiter", [";", "\t"])
+def test_decimal_comma_follows_whole_numbers(delimiter: str, tmp_path: Path) -> None:
+    rows = ["0|0", *(f"0,{k:03}|{k},5" for k in range(1, 40))]
+    (tmp_path / "a.csv").write_text("\n".join(["Zeit [s]|Kraft [N]", *rows]).replace("|", delimiter))
+    with ExitStack() as stack:
+        [force] = text_signals(tmp_path / "a.csv", stack)
+        assert force.rate == 1000.0 and force.read(0, 3).tolist() == [0.0, 1.5, 2.5]
+
+
 @pytest.mark.parametrize("name", ["epoch", "unixtime", "Unix_Time", "timestamp"])
 def test_seconds_since_1970_are_times(name: str, tmp_path: Path) -> None:
     rows = "".join(f"{1714737600 + k / 1000:.6f},{np.sin(k)}\n" for k in range(40))

@@ -153,7 +153,7 @@ def replay_recording(
 
 @app.command("info", example="daq info sweep.mcap --check")
 def describe_recordings(
-    files: Annotated[list[Path], "FILE...: Recordings."],
+    files: Annotated[list[Path], "FILE...: Recordings to describe."],
     check: Annotated[bool, "Read the whole file and verify every record."] = False,
 ) -> None:
     """Describe recordings and list the commands that can analyze them."""

@@ -114,8 +114,8 @@ class Decay(Result):
     def table(self) -> Table:
         """Return for each mode: frequency, damping ratio at the largest and smallest amplitude, and noise."""
         heading = (
-            "natural frequency / Hz", "initial damping ratio / %", "at / (m/s²)", "final damping ratio / %",
-            "at / (m/s²)", "noise / (m/s²)",
+            "natural frequency / Hz", "initial damping ratio / %", "initial amplitude / (m/s²)",
+            "final damping ratio / %", "final amplitude / (m/s²)", "noise / (m/s²)",
         )  # fmt: skip
         return Table(heading, ">>>>>>", [mode.cells() for mode in self.modes])
 

@@ -93,7 +93,7 @@ const response = {
     const isSingle = !curves?.limit.some(isFinite), isClipped = curves?.rows.some((row) => row.relation.some(Boolean));
     setText("thin", [curves ? [curves.level == null ? `NI clients, ${digits(clientLevel(curves).level, 3)} N ${clientLevel(curves).kind}` : `${digits(curves.level, 3)} N`, `Δf ${digits(curves.frequency[1] - curves.frequency[0], 2)} Hz`, this.details].filter(Boolean).join(", ") : "", isClipped ? "dashed: clipped; the arrow points toward the true value" : "", curves ? `thin: ${scatterText(curves)}` : "", showsLast ? `gray: last test${previous.level == null ? "" : `, ${digits(previous.level, 3)} N`}` : ""].filter(Boolean).join("; "));
     if (theory && $("theory").checked) {
-      theory.rows.forEach((row, k) => magnitude.push({ x: theory.frequency, y: micro(row), color: `color-mix(in srgb, ${this.channels[k].color}, white 40%)`, dash: [2, 4], width: 1.2 }));
+      theory.rows.forEach((row, k) => magnitude.push({ x: theory.frequency, y: micro(row), color: `color-mix(in srgb, ${this.channels[k].color}, white 15%)`, dash: [2, 4], width: 1.2 }));
     }
     for (const [number, row] of (curves?.rows ?? []).entries()) {
       const style = { x: curves.frequency, color: row.color, dots: true, mark: number };

@@ -59,8 +59,10 @@ _MARK_DISTANCE = 0.02
 _DASH_SCALE = 0.5
 _LABEL_COLOR = "#555555"
 _THEORY_COLOR = "#222222"
-# Sentence of the caption on arrows, if lower peaks at the same frequency have none.
-_HIDDEN_ARROWS_TEXT = "Arrows: this peak and those below may be higher."
+# Instead of those of `PEAK_SYMBOLS`: the text of arrows, if lower peaks at the same frequency have none, ...
+_HIDDEN_ARROWS_TEXT = {"arrows": "Arrows: this peak and those below may be higher."}
+# ... and the texts of symbols below the sentence on the local model.
+_THIN_CURVE_TEXTS = {"circles": "Circles: its peaks.", "diamonds": "Diamonds: its peaks, may be higher."}
 
 
 def frf_figure(
@@ -93,14 +95,13 @@ def frf_figure(
             magnitude_axes.plot(curve.frequency, curve.shown_in[1] * abs(curve.value), **style)
             phase_axes.plot(*break_at_wraps(curve.frequency, phase_degrees(curve.value, top)), **style)
         if theory:
-            # In colors of the bodies, the entry of the legend stands for all of them.
+            # If the curves have the colors of their bodies, their common entry in the legend is gray.
             color = _LABEL_COLOR if not several and theory[0].outputs[0].at else _THEORY_COLOR
             magnitude_axes.plot([], [], color=color, lw=0.9, ls=":", label=escape_figure(theory[0].label))
         marked_peaks = [peak_marks(measured, resonance_peaks(measured)) for measured in frfs]
         heights, edges = [], []
         unit, factor = frfs[0].shown_in
         visible = marked_peaks if several else without_hidden_arrows(marked_peaks)
-        has_hidden_arrows = visible != marked_peaks
         for row, (measured, curve_style, marked) in enumerate(zip(frfs, styles, marked_peaks, strict=True)):
             drawn = _draw_curve(measured, curve_style, row, top, marked, magnitude_axes, phase_axes, coherence_axes)
             edges.append(factor * _visible_edges(measured, drawn))
@@ -148,16 +149,20 @@ def frf_figure(
                 text, (0.5, 0.5), xycoords="axes fraction", ha="center", va="center", fontsize=8, color="#555555"
             )
         figure.align_ylabels([magnitude_axes, phase_axes, coherence_axes])
-        sentences = _caption(frfs, [mark for mark, _ in labels], bool(magnitude_axes.containers))
-        if has_hidden_arrows:
-            sentences = [text.replace(PEAK_SYMBOLS["arrows"], _HIDDEN_ARROWS_TEXT) for text in sentences]
+        sentences = _caption(
+            frfs, [mark for mark, _ in labels], bool(magnitude_axes.containers), visible != marked_peaks
+        )
         add_legend_below(figure, *remarks, *sentences, *["Rings: highest points."] * has_rings)
         return figure
 
 
-def _caption(frfs: Sequence[Response], marks: Sequence[PeakMark], has_bars: bool) -> list[str]:
-    """Explain bands and markers in sentences; `has_bars`: whether points have error bars."""
+def _caption(frfs: Sequence[Response], marks: Sequence[PeakMark], has_bars: bool, has_hidden_arrows: bool) -> list[str]:
+    """Explain bands and markers in sentences.
+
+    `has_bars`: whether points have error bars; `has_hidden_arrows`: whether an arrow is drawn for several peaks.
+    """
     symbols = {mark.symbol for mark in marks}
+    symbol_texts = PEAK_SYMBOLS | (_HIDDEN_ARROWS_TEXT if has_hidden_arrows else {})
     sentences = _band_texts(frfs)
     if has_bars:
         sentences.append("Bars: the same.")
@@ -168,15 +173,12 @@ def _caption(frfs: Sequence[Response], marks: Sequence[PeakMark], has_bars: bool
         sentences.append(f"No phase where {'undetermined or ' * is_undetermined}scattered.")
     if any(frf.unsteady is not None and frf.unsteady.any() for frf in frfs):
         sentences.append("Crosses: steady state not reached.")
-    has_thin_curve = any(frf.frequency.size <= MAX_MARKED and not folds_back(frf.frequency) for frf in frfs)
-    if has_thin_curve:
+    if any(frf.frequency.size <= MAX_MARKED and not folds_back(frf.frequency) for frf in frfs):
         sentences.append("Thin curve: local model.")
+        symbol_texts |= _THIN_CURVE_TEXTS
     if any(MAX_MARKED < frf.frequency.size <= MAX_POINTS and not folds_back(frf.frequency) for frf in frfs):
         sentences.append("Markers: at some of the points.")
-    symbol_texts = [text for symbol, text in PEAK_SYMBOLS.items() if symbol in symbols]
-    if has_thin_curve:
-        symbol_texts = [text.replace("peaks of the local model", "its peaks") for text in symbol_texts]
-    sentences += symbol_texts
+    sentences += [text for symbol, text in symbol_texts.items() if symbol in symbols]
     sentences += ["Labels: peaks, not modes."] * bool(symbols)
     if not all(mark.is_steady for mark in marks):
         sentences.append("In parentheses: steady state not reached.")

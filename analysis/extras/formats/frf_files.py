@@ -44,8 +44,8 @@ _COMPONENT_BEFORE_NAME = re.compile(
 )
 # Unit of a phase; the column before it contains the magnitude.
 _ANGLE = re.compile(r"deg(rees?)?|°|rad(ians?)?|grad", re.IGNORECASE)
-# Beginning of a unit that pint does not know, or that does not begin with a letter.
-_ANGLE_OR_DECIBELS = re.compile(rf"({_ANGLE.pattern})$|db|\W|1/", re.IGNORECASE)
+# Beginning of a unit, also of one that pint does not know, which the name of a response does not have.
+_UNIT_BEGINNING = re.compile(r"db|\W|1/", re.IGNORECASE)
 # Unit of a magnitude in decibels, after "dB": a reference value, and its unit.
 _DECIBELS = re.compile(
     r"(?:re(?:f\w*)?\.?:?\s*|/\s*)?(?P<reference>\d[\d.]*(?:e[+-]?\d+)?)?\s*(?P<unit>[^\d\s].*)?", re.IGNORECASE
@@ -393,9 +393,10 @@ def _with_component(name: str, unit: str) -> tuple[str, str]:
     if unit and _COLUMN_NAME.fullmatch(unit):
         return f"{name} {unit}", ""
     match = _COLUMN_NAME.fullmatch(name)
-    if match is None or match[1] or not unit or is_unit(unit) or _ANGLE_OR_DECIBELS.match(unit):
-        return name, unit
-    return f"{unit} {name}", ""
+    is_component_alone = match is not None and not match[1]
+    if unit and is_component_alone and not (is_unit(unit) or _ANGLE.fullmatch(unit) or _UNIT_BEGINNING.match(unit)):
+        return f"{unit} {name}", ""
+    return name, unit
 
 
 def _linear_magnitude(where: str, unit: str, magnitude: Array) -> tuple[str, Array]:

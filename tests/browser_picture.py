@@ -53,13 +53,13 @@ def draw_bench(picture: str) -> None:
 
 
 def draw_page(page: str, picture: str) -> None:
-    """Draw a report to the end of its answer."""
-    # Answer and drawing of the rig are legible at the width of a door of the start page.
-    driver = open_browser(760, 475, 1.75)
+    """Draw a report to the end of the first panel of its first chart."""
+    # The narrowest page with the rig beside the answer, so that both are legible on the start page.
+    driver = open_browser(880, 800, 1.5)
     try:
         driver.get(Path(page).resolve().as_uri())
-        end = driver.execute_script("return document.querySelector('.answer').getBoundingClientRect().bottom")
-        size = {"width": 760, "height": round(end), "deviceScaleFactor": 1.75, "mobile": False}
+        end = driver.execute_script("return document.querySelector('.chart .uplot').getBoundingClientRect().bottom")
+        size = {"width": 880, "height": round(end), "deviceScaleFactor": 1.5, "mobile": False}
         driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
         driver.save_screenshot(picture)
     finally:

@@ -26,7 +26,7 @@ _MIN_DETERMINED = 0.75
 # A gap of fewer undetermined lines does not end a determined range; it is an antiresonance.
 _ANTIRESONANCE_LINES = 5
 #: Strips at undetermined lines are joined if at most one of this number of lines is between them: crumbs distract.
-LINES_PER_GAP = 200
+LINES_PER_GAP = 100
 #: Curves with more lines than this are drawn as lines with some of their points: adjacent symbols would touch.
 MAX_MARKED = 160
 #: Curves with more lines than this are drawn without points, which would hide each other.

@@ -23,6 +23,7 @@ from analysis.commands.figures.peak_marks import (
     PEAK_SYMBOLS,
     DrawnResponse,
     PeakMark,
+    above_curves,
     draw_marks,
     drawn_response,
     label_peaks,
@@ -101,9 +102,11 @@ def frf_figure(
         marked_peaks = [peak_marks(measured, resonance_peaks(measured)) for measured in frfs]
         heights, edges = [], []
         unit, factor = frfs[0].shown_in
-        visible = marked_peaks if several else without_hidden_arrows(marked_peaks)
+        unhidden = marked_peaks if several else without_hidden_arrows(marked_peaks)
+        visible = [above_curves(marked, frfs) for marked in unhidden]
         for row, (measured, curve_style, marked) in enumerate(zip(frfs, styles, marked_peaks, strict=True)):
-            drawn = _draw_curve(measured, curve_style, row, top, marked, magnitude_axes, phase_axes, coherence_axes)
+            panels = magnitude_axes, phase_axes, coherence_axes
+            drawn = _draw_curve(measured, curve_style, row, top, marked, visible[row], *panels)
             edges.append(factor * _visible_edges(measured, drawn))
             heights += draw_marks(visible[row], measured.shown_in[1], curve_style.color, magnitude_axes)
         for frequency, text in marks:
@@ -150,7 +153,7 @@ def frf_figure(
             )
         figure.align_ylabels([magnitude_axes, phase_axes, coherence_axes])
         sentences = _caption(
-            frfs, [mark for mark, _ in labels], bool(magnitude_axes.containers), visible != marked_peaks
+            frfs, [mark for mark, _ in labels], bool(magnitude_axes.containers), unhidden != marked_peaks
         )
         add_legend_below(figure, *remarks, *sentences, *["Rings: highest points."] * has_rings)
         return figure
@@ -204,6 +207,7 @@ def _draw_curve(
     row: int,
     top: float,
     marks: Sequence[PeakMark],
+    visible: Sequence[PeakMark],
     magnitude_axes: Axes,
     phase_axes: Axes,
     coherence_axes: Axes,
@@ -211,7 +215,7 @@ def _draw_curve(
     """Draw one measured curve into the three panels: tones as points, with a thin curve where the points resolve it.
 
     `row`: position of the curve in the legend; `top`: upper end of the phase axis [degrees]; `marks`: marked peaks,
-    which the thin curve reaches. Returns the magnitudes of the thin curve.
+    which the thin curve reaches; `visible`: those with a symbol. Returns the magnitudes of the thin curve.
     """
     # A downward sweep has larger, open markers, so an upward sweep remains visible where both coincide.
     is_folded = folds_back(frf.frequency)
@@ -248,7 +252,7 @@ def _draw_curve(
         )  # fmt: skip
     # The highest point of a peak that may be higher has a bar, too: next to it, the band is narrower than the line.
     has_bar = _isolated(curve) & (frf.frequency.size <= MAX_POINTS)
-    has_bar |= np.isin(frf.frequency, [mark.frequency for mark in marks if mark.symbol == "arrows"])
+    has_bar |= np.isin(frf.frequency, [mark.frequency for mark in visible if mark.symbol == "arrows"])
     has_bar &= is_known & (total > _MIN_VISIBLE_RATIO * magnitude)
     if has_bar.any():
         upper = total[has_bar]

@@ -82,11 +82,16 @@ def modes_figure(frfs: Sequence[Response], modes: Modes, title: str, remarks: Se
         if legend := chart_axes.get_legend():
             legend.remove()
         frequency_axis(chart_axes, low, high, True)
+        for line in chart_axes.get_lines():
+            frequency = np.asarray(line.get_xdata())
+            if not ((low <= frequency) & (frequency <= high)).any():
+                line.set_label("_outside")
         for frequency in modes.frequency:
             magnitude_axes.axvline(frequency, color="#777777", lw=0.7, ls=":", zorder=0)
         bodies = modes.of_bodies()
         heights = np.arange(1, len(bodies.names) + 1)
         is_extrapolated, orders = extrapolates_damping(modes, frfs), {pole.order for pole in modes.chart}
+        has_faded = False
         for i in range(count):
             row, column = divmod(i, columns)
             axes = figure.add_subplot(rows[2 + row, column])
@@ -95,6 +100,7 @@ def modes_figure(frfs: Sequence[Response], modes: Modes, title: str, remarks: Se
             stable = {pole.order for pole, near in zip(modes.chart, is_near, strict=True) if pole.stable and near}
             is_poor = len(stable) < _MIN_STABLE * len(orders)
             opacity = 1.0 if is_known_shape(expanded) and not is_poor else _FADED
+            has_faded |= opacity < 1.0
             axes.plot(np.append(0, shape), np.append(0, heights), "o-", color="#333333", alpha=opacity)
             xerr = np.minimum(np.nan_to_num(expanded, posinf=_WIDEST_BAR), _WIDEST_BAR)
             axes.errorbar(shape, heights, xerr=xerr, fmt="none", ecolor="#333333", capsize=2, lw=0.9, alpha=opacity)
@@ -122,6 +128,6 @@ def modes_figure(frfs: Sequence[Response], modes: Modes, title: str, remarks: Se
             figure, f"{data}: measured. Lines: modal model. ±: {intervals_text(unstated_tolerances(frfs))}.",
             residual * (modes.model_error > MAX_LINEAR_RESIDUAL),
             f"Damping extrapolated: from the flanks {EXTRAPOLATED_TO}." * bool(is_extrapolated.any()),
-            "Shapes: the largest component is +1.", *remarks,
+            f"Shapes: the largest component is +1{'; faded: uncertain' * has_faded}.", *remarks,
         )  # fmt: skip
         return figure

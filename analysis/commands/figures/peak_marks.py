@@ -44,6 +44,10 @@ _LABEL_WIDTH = 0.06
 # Space above a marked value for its labels, and for an arrow with its labels, relative to the height of the axes.
 _LABEL_SPACE, _ARROW_SPACE = 0.1, 0.18
 _MARKERS = {"circles": "o", "diamonds": "D"}
+# Least digits of the frequency of a measured point, which is known; its rounding must not be nearer to the next point.
+_POINT_DIGITS = 3
+# An arrow begins above all curves within this relative distance in frequency, which is the half of its width.
+_ARROW_RANGE = 0.01
 # Height of the label of a peak, and its distance from a label beside it [points].
 _LABEL_POINTS = 9.0
 _LABEL_SHIFT = 22.0
@@ -61,8 +65,8 @@ class PeakMark(NamedTuple):
 
     @property
     def label(self) -> str:
-        """Frequency with the digits of the interval of the peak."""
-        return self.peak.label(self.frequency)
+        """Frequency with the digits of the interval of the peak; that of a measured point with three digits or more."""
+        return self.peak.label(self.frequency, 0 if self.symbol in _MARKERS else _POINT_DIGITS)
 
     @property
     def top(self) -> float:
@@ -117,6 +121,18 @@ def without_hidden_arrows(marked: Sequence[Sequence[PeakMark]]) -> list[list[Pea
         )
 
     return [[mark for mark in of_curve if mark.symbol != "arrows" or is_highest(mark)] for of_curve in marked]
+
+
+def above_curves(marks: Iterable[PeakMark], frfs: Iterable[Response]) -> list[PeakMark]:
+    """Let arrows begin above the points of all curves, so that none is taken for the point of another curve."""
+    points = [(frf.frequency, abs(frf.value)) for frf in frfs]
+
+    def raised(mark: PeakMark) -> PeakMark:
+        near = [value[abs(frequency / mark.frequency - 1.0) < _ARROW_RANGE] for frequency, value in points]
+        highest = float(np.nanmax(np.concatenate(near), initial=mark.top))
+        return mark._replace(expanded=highest - mark.height)
+
+    return [raised(mark) if mark.symbol == "arrows" else mark for mark in marks]
 
 
 def draw_marks(marks: Iterable[PeakMark], factor: float, color: str, axes: Axes) -> list[tuple[float, float]]:
@@ -194,7 +210,8 @@ def label_peaks(marks: Sequence[tuple[PeakMark, str]], frf: Response, axes: Axes
             axes.plot(*point, "o", mfc="none", mec=color, ms=6.5, mew=0.8, zorder=5)
             has_rings = True
         x, y = axes.transData.transform(point)
-        taken.append((x, y + (1.0 if vertical["va"] == "bottom" else -1.0) * _LABEL_POINTS * axes.figure.dpi / 72.0))
+        side = 1.0 if vertical["va"] == "bottom" else -1.0
+        taken.append((x, y + side * (base - 5 + _LABEL_POINTS) * axes.figure.dpi / 72.0))
         labeled.append(color)
     return has_rings
 

@@ -35,7 +35,7 @@ def present_surface(
             common = common_error_text(*amplitudes, "all points of a level")
             add_legend_below(
                 figure,
-                f"{bars} times the slope of the curve. Lines join the points.",
+                f"{bars} times the slope of the curve. Dotted lines only join the points.",
                 common,
                 "Gray bars: including these tolerances, at the first point of each level." * bool(common),
             )

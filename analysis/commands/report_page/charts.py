@@ -61,8 +61,8 @@ class Curve:
     high: ArrayLike | None = None  # upper bound of `y`
     style: CurveStyle = _DEFAULT_STYLE
     # "points" of separate tones, the thin line "through" them, or symbols at points: "dots", "crosses", "circles",
-    # "arrows", or a dotted "path" through them in their order; "pale": undetermined line. The readout contains only
-    # values of "points" and "line".
+    # "arrows", "limits" (triangles that point downward), or a dotted "path" through them in their order; "pale":
+    # undetermined line. The readout contains only values of "points" and "line".
     draw: str = "line"
 
 

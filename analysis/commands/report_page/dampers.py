@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.commands.figures.determined_lines import folds_back
-from analysis.commands.report_page.charts import Chart, Curve, Panel, needs_logarithmic_axis, side_limits
+from analysis.commands.report_page.charts import Chart, Curve, Panel, needs_logarithmic_axis, side_limits, symbol_curves
 from analysis.commands.report_page.measurements import Measurement
 from analysis.commands.report_page.responses import sweep_names, sweep_styles
 from analysis.core.recordings.names import excitation_text
@@ -37,9 +37,13 @@ def damper_charts(measurement: Measurement) -> list[Chart]:
         if energy is not None:
             percent, expanded = (_percent(part, energy.supplied)[order] for part in (energy.dampers, energy.expanded))
             label, at = ("dampers", CurveStyle(DAMPER)) if is_single else (name, style)
-            value, low, high = np.clip([percent, percent - expanded, percent + expanded], 0.0, 100.0)
+            is_limit = percent <= expanded
+            value = np.where(is_limit, np.nan, percent)
+            value, low, high = np.clip([value, percent - expanded, percent + expanded], 0.0, 100.0)
             shares.append(Curve(label, frequency[order], value, low, high, at, draw))
             shares += [replace(shares[-1], draw="through")] * (draw == "points")
+            limits = zip(frequency[order][is_limit], high[is_limit], strict=True)
+            shares += symbol_curves(label, at, "limits", limits)
     # Each body has a panel: equal numbers of impacts would hide each other.
     panels = [
         Panel(
@@ -70,7 +74,7 @@ def damper_charts(measurement: Measurement) -> list[Chart]:
             notes=[
                 "Impacts on floor and ceiling; 0: none above the detection limit. The curve is interrupted where the "
                 "motion is irregular or impacts may be missing. Energy: share of the supplied energy that the dampers "
-                "dissipate, with its 95 % interval."
+                "dissipate, with its 95 % interval; triangles: upper ends of intervals that include zero."
             ],
         )
     ]

@@ -67,9 +67,9 @@ def _damping_chart(
 ) -> Chart:
     """Return a chart of damping ratio against amplitude, with a panel for each mode; `groups`: from `group_modes`."""
     panels = []
+    known = np.concatenate([mode.percent[0][mode.percent[0] > 0] for group in groups for _, mode in group])
+    lowest, highest = (float(known.min()) / _MARGIN, _MARGIN * float(known.max())) if known.size else (0.1, 10.0)
     for group in groups:
-        known = np.concatenate([mode.percent[0][mode.percent[0] > 0] for _, mode in group])
-        lowest, highest = (float(known.min()) / _MARGIN, _MARGIN * float(known.max())) if known.size else (0.1, 10.0)
         curves = []
         for index, mode in sorted(group, key=lambda pair: pair[0]):
             order = np.argsort(mode.amplitude)
@@ -77,9 +77,10 @@ def _damping_chart(
             # A logarithmic axis has no zero, so the band ends at the axis.
             low, high = np.maximum(percent - expanded, lowest), np.minimum(percent + expanded, highest)
             label, amplitude, style = labeled_decays[index][0], mode.amplitude[order], styles[index]
-            differs = np.where(percent > expanded, percent, np.nan)
-            curves.append(Curve(label, amplitude, differs, low, high, style))
-            curves.append(Curve(label, amplitude, percent, style=style, draw="through"))
+            is_limit = percent <= expanded
+            known_values = np.where(is_limit, np.nan, percent)
+            curves += [Curve(label, amplitude, known_values, low, high, style, draw) for draw in ("points", "through")]
+            curves += symbol_curves(label, style, "limits", zip(amplitude[is_limit], high[is_limit], strict=True))
         limits = lowest, highest
         panels.append(Panel("ζ", "%", curves, 130, title=frequency_title(group), logarithmic=True, limits=limits))
     return Chart(
@@ -89,5 +90,5 @@ def _damping_chart(
         x_name="amplitude",
         x_unit="m/s²",
         logarithmic=True,
-        notes=["Thin line with a band to the axis: the interval includes zero. Frequencies: see the decay table."],
+        notes=["Triangles: upper ends of intervals that include zero. Frequencies: see the decay table."],
     )

@@ -22,7 +22,7 @@ from analysis.commands.report_page.mode_drawing import mode_drawing
 from analysis.commands.report_page.responses import force_charts, response_charts
 from analysis.commands.report_page.stabilization import stabilization_charts
 from analysis.commands.report_page.summary import limitations, summarize
-from analysis.commands.report_page.sweep_changes import sweep_changes
+from analysis.commands.report_page.sweep_changes import same_mode, sweep_changes
 from analysis.commands.report_page.tables import (
     budget,
     changes_table,
@@ -34,6 +34,7 @@ from analysis.commands.report_page.tables import (
     settings,
     test_sentence,
 )
+from analysis.core.modal.modes import Modes
 from analysis.core.recordings.names import line_spacing
 from daq.core.recording.recorded_test import own_analyses
 from rig.core.base.errors import SceneError
@@ -117,8 +118,9 @@ def _body(measurements: Measurements, paths: Sequence[Path], note: str) -> tuple
     summary = summarize(results, changes)
     warnings = [f"<li>{typeset(warning)}</li>" for warning in measurements.warnings]
     counts = {"Warnings": f" ({len(warnings)})"}
-    # The drawing shows the dampers whose effect is compared.
+    # The drawing shows the dampers whose effect is compared; a recording has its own only with another structure.
     drawn = next((each for each in results if each is not baseline), baseline)
+    rig = drawn.rec.scene.structure, drawn.rec.scene.shakers
     # Title and content of each section; a section without content is omitted. The warnings stand between the curves and
     # the results computed from them, because they limit both.
     sections = {
@@ -137,7 +139,12 @@ def _body(measurements: Measurements, paths: Sequence[Path], note: str) -> tuple
         "Dampers": [part for each in results for part in (*map(charts.write, damper_charts(each)), motions(each))],
         "Free decays": [charts.write(chart) for chart in decay_charts(results, baseline.label)],
         "Uncertainty": _budgets(results),
-        **{f"Recording {each.path.name}": _recording(each, charts, each is not drawn) for each in results},
+        **{
+            f"Recording {each.path.name}": _recording(
+                each, charts, (each.rec.scene.structure, each.rec.scene.shakers) != rig
+            )
+            for each in results
+        },
         "How to reproduce this report": _commands(paths, results),
     }
     filled = {title: list(filter(None, parts)) for title, parts in sections.items() if any(parts)}
@@ -216,7 +223,7 @@ def _test_description(measurement: Measurement) -> str:
 def _modes(results: Sequence[Measurement], baseline: Measurement) -> list[str]:
     """Draw, as HTML, the modes of each recording's first sweep, with the signs of the baseline; for several bodies."""
     sections = []
-    baseline_shapes = next((sweep.modes.of_bodies() for sweep in baseline.sweeps[:1] if sweep.modes is not None), None)
+    reference = next((sweep.modes for sweep in baseline.sweeps[:1] if sweep.modes is not None), None)
     for measurement in results:
         for sweep in measurement.sweeps[:1]:
             modes = sweep.modes
@@ -225,15 +232,32 @@ def _modes(results: Sequence[Measurement], baseline: Measurement) -> list[str]:
             bodies = modes.of_bodies()
             if len(bodies.names) < 2 or not modes.frequency.size:
                 continue
-            if baseline_shapes is not None:
-                bodies = bodies.with_signs_of(baseline_shapes)
+            if reference is not None:
+                bodies = bodies.with_signs_of(reference.of_bodies())
             drawings = [
                 mode_drawing(bodies, bodies.places, k, f"{modes.frequency_text(k)},\nζ = {sweep.damping_text(k)}")
                 for k in range(modes.frequency.size)
             ]
+            if reference is not None:
+                drawings = _in_columns_of(reference, modes, drawings)
             sections += [f"<h3>{escape_html(modes.label)}</h3>", f'<div class="shapes">{"".join(drawings)}</div>']
     scale = '<p class="test">The largest component of each shape is ±1, with the signs of the baseline.</p>'
     return [scale, *sections] if sections else []
+
+
+def _in_columns_of(reference: Modes, modes: Modes, drawings: Sequence[str]) -> list[str]:
+    """Order drawings of modes as the modes of the reference, with a note for each that is not determined."""
+    counterparts = {
+        same_mode(reference, float(frequency)): k for k, frequency in reversed([*enumerate(modes.frequency)])
+    }
+    columns = [
+        drawings[counterparts[k]]
+        if k in counterparts
+        else f'<p class="absent">{reference.frequency_label(k)}: not determined</p>'
+        for k in sorted(range(len(reference.frequency)), key=reference.frequency.__getitem__)
+    ]
+    placed = [k for column, k in counterparts.items() if column is not None]
+    return columns + [drawing for k, drawing in enumerate(drawings) if k not in placed]
 
 
 def _macs(results: Sequence[Measurement], first: Measurement) -> list[str]:

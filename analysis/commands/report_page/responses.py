@@ -33,7 +33,7 @@ from analysis.commands.report_page.measurements import Measurement, SweepResults
 from analysis.core.recordings.names import acquisition_text, belongs_to, excitation_text, without_common_direction
 from analysis.core.responses.estimator import Blocks
 from rig.core.base.arrays import Array, ComplexArray
-from rig.core.base.palette import CurveStyle, faded, location_styles, recording_styles
+from rig.core.base.palette import CurveStyle, location_styles, recording_styles
 from rig.core.numerics.runs import ranges_of
 from rig.core.results import format_frequencies, format_percent
 from rig.core.results.response import Response
@@ -185,7 +185,7 @@ def response_chart(
         magnitude.append(curve)
         unknown = ~known & np.isfinite(frf.value)
         if unknown.any():
-            strips += [Strip(ends, faded(style.color)) for ends in ranges_of(f, unknown, LINES_PER_GAP)]
+            strips += [Strip(ends, style.color) for ends in ranges_of(f, unknown, LINES_PER_GAP)]
             # One point more at either end closes the gap between the gray and the colored curve.
             joined = unknown | np.roll(unknown, 1) | np.roll(unknown, -1)
             stored = joined | np.roll(joined, 1)

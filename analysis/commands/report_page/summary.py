@@ -6,6 +6,7 @@ from math import isfinite
 from operator import le
 
 import numpy as np
+from numpy.typing import NDArray
 
 from analysis.commands.figures.frf_figure import unstated_text
 from analysis.commands.presentation.damper_findings import detection_limits
@@ -202,12 +203,12 @@ def _impact_texts(measurement: Measurement) -> list[str]:
     if has_impacts.any():
         listed = format_frequencies(frequency.tolist(), has_impacts.tolist())
         text = f"damper impacts were detected at {has_impacts.sum()} of {frequency.size} measured points ({listed})"
-        energy = _largest_share(results[0]) if len(results) == 1 else ""
+        energy = _largest_share(results[0], has_impacts) if len(results) == 1 else ""
     limits = detection_limits(motions)
     return [f"“{measurement.label}”: {text}; impacts with a velocity jump below {limits} are not detectable{energy}."]
 
 
-def _largest_share(result: Dampers) -> str:
+def _largest_share(result: Dampers, has_impacts: NDArray[np.bool_]) -> str:
     """Write the largest dissipated share of the supplied energy; empty if it is not determined."""
     frequency, energy = result.sweep.lines.frequency, result.energy
     if energy is None:
@@ -219,7 +220,8 @@ def _largest_share(result: Dampers) -> str:
     # The chart shows whole percents.
     percent, percent_expanded = 100.0 * float(share[largest]), 100.0 * float(expanded[largest])
     value = f"{percent:.0f}" if percent_expanded < 0.5 else format_limited(percent, percent_expanded, 100.0)
-    return f"; the dampers dissipate up to {value} % of the supplied energy (at {frequency[largest]:.4g} Hz)"
+    unseen = "" if has_impacts[largest] else ", where the impacts are below the detection limit"
+    return f"; the dampers dissipate up to {value} % of the supplied energy (at {frequency[largest]:.4g} Hz{unseen})"
 
 
 def _decay_texts(measurements: Sequence[Measurement]) -> list[str]:

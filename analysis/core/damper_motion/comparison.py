@@ -85,9 +85,12 @@ class Peak:
         """Whether the peak exceeds its highest measured point by more than 3 dB (half-power)."""
         return self.value > _HALF_POWER * self.highest_point
 
-    def label(self, frequency: float) -> str:
+    def label(self, frequency: float, least_digits: int = 0) -> str:
         """Write the frequency [Hz] of the peak or of its highest point with the digits of the interval of the peak."""
-        return format_frequency(frequency, max(self.highest_frequency - frequency, frequency - self.lowest_frequency))
+        expanded = max(self.highest_frequency - frequency, frequency - self.lowest_frequency)
+        if least_digits:
+            expanded = min(expanded, 10.0 ** (floor(log10(frequency)) + 1 - least_digits))
+        return format_frequency(frequency, expanded)
 
     @property
     def expanded(self) -> float:

@@ -170,7 +170,9 @@ class ForceSurface(Result):
         for chosen, median, (color, _, marker) in zip(levels, medians, styles, strict=True):
             along = chosen[np.argsort(self.frequency[chosen])]
             label = f"{median:.{max(digits - 1 - floor(log10(median)), 0)}f} mm"
-            bars = complete_style(style, label=label, color=color, marker=marker, ms=3, lw=0.8, capsize=2)
+            # Dotted: the lowest force may be between the points.
+            line = {"color": color, "ls": ":", "lw": 1.0, "elinewidth": 1.0, "marker": marker, "ms": 3}
+            bars = complete_style(style, label=label, capsize=2, **line)
             ax.errorbar(self.frequency[along], self.force[along], self.force_own[along], **bars)
             columns = self.frequency, self.force, self.force_own, self.force_expanded
             draw_common_error(ax, *(column[along] for column in columns))

@@ -205,7 +205,7 @@ def _draw(study: MotionStudy, steady: SteadyStudy) -> Figure:
             panels[1].set(ylabel="error of the compliance, relative", title=_steady_title(steady))
         level = "" if study.scene.test is None else study.scene.test.level_text(study.scene.driven_shaker)
         processor = f"CPU times on one core (processor {llvmlite.binding.get_host_cpu_name()})"
-        add_page_title(figure, study.scene.name, ", ".join(filter(None, [level, processor])))
+        add_page_title(figure, f"Cost of accuracy: {study.scene.name}", ", ".join(filter(None, [level, processor])))
         add_caption(
             figure, "Errors relative to the largest displacement or compliance; 1 is 100 %. Reference: a motion with "
             f"{DIGITS} decimal digits. As called: with setup; warm: without. Guard pause: no event detection after "

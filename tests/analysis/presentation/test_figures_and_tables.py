@@ -23,7 +23,7 @@ from analysis.commands.figures.decay_figure import decay_figure
 from analysis.commands.figures.determined_lines import determined_band, is_determined, is_smooth
 from analysis.commands.figures.frf_figure import frf_figure
 from analysis.commands.figures.modes_figure import modes_figure
-from analysis.commands.figures.peak_marks import drawn_response, peak_marks
+from analysis.commands.figures.peak_marks import above_curves, drawn_response, peak_marks
 from analysis.commands.presentation.backbone_findings import _draw as _draw_backbone
 from analysis.commands.presentation.decay_findings import present_decay
 from analysis.commands.presentation.fit_findings import present_fit
@@ -376,6 +376,21 @@ def test_model_line_stops_beside_an_arrow():
     drawn = drawn_response(curve, [arrow])
     near = drawn.frequency[np.isfinite(drawn.value) & (abs(drawn.frequency - arrow.frequency) < 0.25)]
     assert near.tolist() == [arrow.frequency] and np.nanmax(drawn.magnitude) <= abs(curve.value).max()
+
+
+def test_measured_frequency_has_three_digits():
+    [arrow] = [
+        mark for mark in peak_marks(uncertain_jump(), resonance_peaks(uncertain_jump())) if mark.symbol == "arrows"
+    ]
+    assert arrow._replace(peak=replace(arrow.peak, highest_frequency=24.0)).label == "22.0 Hz"
+
+
+def test_arrow_begins_above_other_curves():
+    curve = uncertain_jump()
+    [arrow] = [mark for mark in peak_marks(curve, resonance_peaks(curve)) if mark.symbol == "arrows"]
+    higher = replace(curve, value=2.0 * curve.value)
+    [raised] = above_curves([arrow], [curve, higher])
+    assert raised.top == pytest.approx(2.0 * 27.9) and raised.height == arrow.height
 
 
 def phase_scatter():

@@ -26,6 +26,7 @@ from analysis.commands.presentation.frf_findings import describe_frfs
 from analysis.commands.presentation.mode_findings import describe_modes
 from analysis.commands.presentation.tables import modes_table
 from analysis.commands.report_page.charts import Chart, ChartWriter, Curve, EvenlySpaced, Panel, Strip
+from analysis.commands.report_page.dampers import damper_charts
 from analysis.commands.report_page.decays import decay_charts
 from analysis.commands.report_page.drawing import rig_drawing
 from analysis.commands.report_page.histories import time_histories
@@ -192,6 +193,33 @@ def test_answer_states_detection_limits_of_impacts() -> None:
         [dampers] = measurement.dampers
         limits = describe_motions(dampers.bodies)[-1].removesuffix(" are not detected.").partition("below ")[2]
     assert f"below {limits} are not detectable" in sentence and "mm/s (body1)" in limits
+
+
+@pytest.mark.thorough
+def test_share_names_impacts_below_detection_limit() -> None:
+    recording = Path(__file__).parents[3] / "recordings" / "demo-sweep-three-dampers.mcap"
+    with Measurements([recording]) as measurements:
+        [measurement] = measurements.results
+        [sentence] = [text for text in summarize([measurement], []) if "damper impacts" in text]
+        [dampers] = measurement.dampers
+    place = re.search(r"\(at ([\d.]+) Hz, where the impacts are below the detection limit\)", sentence)
+    assert place is not None
+    at_place = [each for body in dampers.bodies for each in body if f"{each.frequency:.4g}" == place[1]]
+    assert len(at_place) == 3 and not any(each.floor or each.ceiling for each in at_place)
+
+
+@pytest.mark.thorough
+def test_undetermined_energy_is_an_upper_limit() -> None:
+    recording = Path(__file__).parents[3] / "recordings" / "demo-sweep-three-dampers.mcap"
+    with Measurements([recording]) as measurements:
+        [measurement] = measurements.results
+        [chart] = damper_charts(measurement)
+        energy = measurement.dampers[0].energy
+    assert energy is not None
+    points, _, limits = chart.panels[-1].curves
+    is_limit = energy.dampers <= energy.expanded
+    assert limits.draw == "limits" and np.asarray(limits.x).tolist() == sorted(energy.frequency[is_limit].tolist())
+    assert 0 < np.count_nonzero(is_limit) == np.count_nonzero(np.isnan(np.asarray(points.y)))
 
 
 def test_report_lists_the_printed_motions() -> None:
@@ -670,6 +698,27 @@ def test_decay_is_marked_at_the_stated_time(recordings: list[Path]) -> None:
     through, points, _, ring = chart.panels[0].curves
     assert points.draw == "points" and points.x is through.x is decay.peak_time
     assert (np.asarray(ring.x).tolist(), np.asarray(ring.y).tolist()) == ([decay.quiet_from], [decay.gravity])
+
+
+def test_undetermined_damping_is_an_upper_limit(recordings: list[Path]) -> None:
+    with Measurements(recordings[1:]) as measurements:
+        [measurement] = measurements.results
+    assert measurement.decay is not None
+    mode = next(each for each in measurement.decay.modes if each.damping.size > 2)
+    uncertain = mode.damping_std.copy()
+    uncertain[0] = mode.damping[0]
+    decay = replace(measurement.decay, modes=(replace(mode, damping_std=uncertain),))
+    points, _, limits = decay_charts([replace(measurement, decay=decay)], "")[1].panels[0].curves
+    assert (limits.draw, np.asarray(limits.x).tolist()) == ("limits", [mode.amplitude[0]])
+    assert np.isfinite(np.asarray(points.y)).tolist() == sorted(np.asarray(points.x) < mode.amplitude[0], reverse=True)
+
+
+def test_modes_stand_below_those_of_the_baseline(recordings: list[Path], tmp_path: Path) -> None:
+    other = synthetic.stepped_sine(tmp_path / "upper.mcap", FREQUENCIES[FREQUENCIES > 20.0], noise=1e-6, name="upper")
+    page = text_of(write_report([recordings[0], other], tmp_path / "modes.html").files[0])
+    _, drawings = re.findall(r'<div class="shapes">(.*?)</div>', page, re.DOTALL)
+    first, *others = re.findall(r'<p class="absent">(.*?)</p>|<figcaption>', drawings)
+    assert first.endswith("Hz: not determined") and others == [""] * len(others) != []
 
 
 def test_stabilization_diagram_has_every_pole(recordings: list[Path]) -> None:

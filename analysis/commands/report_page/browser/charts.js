@@ -15,7 +15,7 @@
   const MANTISSAS = [[1, 1.5, 2, 3, 4, 5, 6, 8], [1, 2, 3, 4, 5, 6, 8], [1, 2, 3, 5, 7], [1, 2, 5], [1, 3]];
   const LABEL_ROW = 14, LABEL_ROWS = 3; // px, and the largest number of rows of labels for which a panel is higher
   const POINT = () => (window.innerWidth < 700 && !printing ? 3.4 : 5); // px: points of tones must not touch
-  const SYMBOLS = ["dots", "crosses", "circles", "diamonds", "arrows", "path"]; // drawn over the series, in any order of the abscissa
+  const SYMBOLS = ["dots", "crosses", "circles", "diamonds", "arrows", "limits", "path"]; // drawn over the series, in any order of the abscissa
   const FONT = "12px system-ui, sans-serif";
   // Anchors of a perceptually uniform color map (viridis), dark to bright.
   const MAP = [[68, 1, 84], [59, 82, 139], [33, 145, 140], [94, 201, 98], [253, 231, 37]];
@@ -110,6 +110,7 @@
     circles: (context, x, y, r) => { context.arc(x, y, 1.2 * r, 0, 7); },
     diamonds: (context, x, y, r) => { context.moveTo(x, y - 1.6 * r); for (const [dx, dy] of [[1, 0], [0, 1], [-1, 0], [0, -1]]) context.lineTo(x + 1.6 * dx * r, y + 1.6 * dy * r); },
     squares: (context, x, y, r) => { context.rect(x - 0.9 * r, y - 0.9 * r, 1.8 * r, 1.8 * r); },
+    limits: (context, x, y, r) => { context.moveTo(x - 1.2 * r, y - r); context.lineTo(x + 1.2 * r, y - r); context.lineTo(x, y + 1.2 * r); context.closePath(); },
     arrows: (context, x, y, r) => {
       context.moveTo(x, y - 2 * r); context.lineTo(x, y - 6 * r);
       context.moveTo(x - r, y - 4.5 * r); context.lineTo(x, y - 6 * r); context.lineTo(x + r, y - 4.5 * r);
@@ -147,7 +148,7 @@
     for (const { ends, color } of panel.strips) {
       const [low, high] = ends.map((x) => inside(plot.valToPos(x, "x", true)));
       context.fillStyle = shade(color);
-      context.globalAlpha = isDark() ? 0.45 : 1; // On a dark page, curves are the brightest.
+      context.globalAlpha = isDark() ? 0.6 : 0.4; // paler than the curves, and still in their colors
       context.fillRect(low, top + height - 5 * (owners.indexOf(color) + 1) * ratio, high - low, 5 * ratio);
     }
     context.globalAlpha = 1;
@@ -180,12 +181,12 @@
       if (curve.draw === "path") continue;
       context.beginPath();
       curve.x.forEach((value, i) => {
-        const [x, y] = position(value, curve.y[i]), r = (curve.draw === "circles" ? 3.2 : 3) * ratio;
+        const [x, y] = position(value, curve.y[i]), r = ((curve.draw === "circles" ? 3.2 : 3) * ratio * POINT()) / 5;
         if (curve.y[i] == null || x < left || x > left + width || y < top || y > top + height) return;
         context.moveTo(x + (curve.draw === "dots" ? 0.9 : 1.2) * r, y);
         PATHS[curve.draw](context, x, y, r);
       });
-      if (["dots", "circles", "diamonds"].includes(curve.draw)) context.fill();
+      if (["dots", "circles", "diamonds", "limits"].includes(curve.draw)) context.fill();
       context.stroke();
     }
     context.lineWidth = 0.6 * ratio;
@@ -323,7 +324,7 @@
     for (const curve of inSeries(panel)) {
       const main = shown.length + 1;
       shown.push({
-        label: curve.label, stroke: () => shade(curve.color) + (curve.draw === "pale" ? "80" : ""), spanGaps: false,
+        label: curve.label, stroke: () => shade(curve.color) + (curve.draw === "pale" ? (isDark() ? "b0" : "80") : ""), spanGaps: false,
         ...(curve.draw === "line" ? { dash: curve.dash.map((length) => 1.5 * length), width: 1.5 } : { width: 1 }),
         ...(curve.draw === "points" ? { paths: () => null } : curve.low ? {} : { paths: line }),
         points: { show: curve.draw === "points", paths: (plot, index, from, to) => points(plot, index, from, to, curve), fill: () => shade(curve.color) },
@@ -374,12 +375,13 @@
     return rows;
   }
 
-  // Curves with other abscissae lie between the points of this curve: its nearest point is shown.
+  // Abscissae of other curves (undefined) lie between the points of this curve: its nearest point is shown. A gap (null)
+  // has no value.
   const MAX_DISTANCE = 60; // points
   function nearest(values, i) {
     for (let distance = 0; distance < MAX_DISTANCE; distance++) {
-      if (values[i - distance] != null) return i - distance;
-      if (values[i + distance] != null) return i + distance;
+      const found = [i - distance, i + distance].find((k) => values[k] !== undefined);
+      if (found !== undefined) return values[found] === null ? null : found;
     }
     return null;
   }

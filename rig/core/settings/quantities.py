@@ -120,8 +120,9 @@ TEMPERATURE = Kind("a temperature difference", "K", "12 K")
 PER_KELVIN = Kind("a ratio per kelvin", "1/K", "0.05 %/K")
 
 _NUMBER = re.compile(
-    r"([+-]?(?:\d[\d_]{0,39}(?:\.[\d_]{0,40})?|\.\d[\d_]{0,39})(?:[eE][+-]?\d{1,3})?|[+-]?\.inf|[+-]?inf)"
-    r"(?![\d.])\s*(.*)",
+    # Underscores separate thousands; elsewhere they are a slip of a decimal point.
+    r"([+-]?(?:(?:\d{1,3}(?:_\d{3}){1,12}|\d{1,40})(?:\.\d{0,40})?|\.\d{1,40})(?:[eE][+-]?\d{1,3})?|[+-]?\.inf|[+-]?inf)"
+    r"(?![\d._])\s*(.*)",
     re.DOTALL | re.IGNORECASE,
 )
 # A product of units and brackets with short powers. Pint's parser would evaluate expressions in other text.

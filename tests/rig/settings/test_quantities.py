@@ -116,6 +116,7 @@ def test_angular_frequency_becomes_hertz() -> None:
         ("1,5 mm", LENGTH),
         ("1.2.3 mm", LENGTH),
         ("1 2 mm", LENGTH),
+        ("2_0 mm", LENGTH),
         (".nan mm", LENGTH),
         ("nan", LENGTH),
         ("", LENGTH),

@@ -129,8 +129,9 @@ class RepeatingTone(SteadyTone):
                     f"motions repeat after {repetition} periods of the tone at {where}. Their amplitudes are those at "
                     "the frequency of the tone, without subharmonics."
                     if repetition
-                    else f"the motion is irregular at {where}. These points are marked as not settled. Choose a level "
-                    "with a periodic motion, often a higher one, or increase test.settle.tolerance."
+                    else f"the motion is irregular at {where}, or settles over more than 100 periods. These points are "
+                    "marked as not settled. Choose a level with a periodic motion, often a higher one, or increase "
+                    "test.settle.tolerance."
                 )
                 self.station.warn(f"level {self.station.level_text(level)}: {text}")
         self._repetitions.clear()

@@ -80,7 +80,7 @@ class RigDrawing:
                 )
             texts = [scene.structure.label(body), *([] if masses is None else [f"{masses[body - 1]:g} kg"])]
             for row, text in enumerate(texts):
-                frame += _text(_LABEL_X, height / 2 + 0.008 - 0.032 * row, text)
+                frame += _text(_LABEL_X, height / 2 + 0.008 - 0.037 * row, text)
             frame += "".join(_block(block) for block in view.stack.blocks if block.body == body)
             parts.append(_group(f"rig/body_{body}", frame))
         parts += [_block(block) for block in view.stack.blocks if block.body is None]
@@ -119,7 +119,7 @@ def _block(block: Block) -> str:
 
 def _text(x: float, z: float, text: str) -> str:
     # The colors of bodies are too dark for text on the dark page.
-    style = f'font-size="28" fill="{hex_color(LABEL)}"'
+    style = f'font-size="33" fill="{hex_color(LABEL)}"'
     return f'<text x="{_UNITS_PER_M * x:.0f}" y="{-_UNITS_PER_M * z:.0f}" {style}>{escape(text)}</text>'
 
 

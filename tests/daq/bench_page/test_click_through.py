@@ -224,9 +224,9 @@ def test_texts_and_scales_suit_the_values(bench, browser):
     # Noise at ±180° does not cross the chart.
     assert value("Array.from(wrapped(Float32Array.of(180, 0, -170)))") == [-180, 0, -170]
     assert value("withInterval(4.276, 1.96)") == "4.3 ± 2.0"
-    assert value("levelText({target: 200, level_kind: 'peak', force: null})") == "of 200 N peak"
-    forces = "[9.999, 9.9, 10.2].map((force) => levelText({target: 10, level_kind: 'peak', force}))"
-    assert [text.split("\n")[1] for text in value(forces)] == ["(0.0 %)", "(−1.0 %)", "(+2.0 %)"]
+    assert value("targetText({target: 200, force: null})") == "target 200 N"
+    forces = "[9.999, 9.9, 10.2].map((force) => targetText({target: 10, force}))"
+    assert [text.removeprefix("target 10.0 N ") for text in value(forces)] == ["(0.0 %)", "(−1.0 %)", "(+2.0 %)"]
     # Measured values have equal digits, settings and ticks as few as they need.
     assert value("[2.6, 98, 203, 1234, 0, 2e-5, null].map((number) => reading(number, 3))") == [
         "2.60", "98.0", "203", "1230", "0.00", "2·10⁻⁵", "–",

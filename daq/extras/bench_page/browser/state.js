@@ -21,7 +21,8 @@ const bar = {
     $("readout").classList.toggle("idle", !state.running && !client);
     setText("tone", `${reading(client?.kind === "rms" ? null : state.tone, 4)} Hz`);
     setText("measured", `${reading(client ? client.level : state.running ? state.force : null, 3)} N`);
-    setText("force", state.running ? levelText(state) : client ? `force ${client.kind}` : "measured force");
+    setText("force", state.running ? `force ${state.level_kind}` : client ? `force ${client.kind}` : "measured force");
+    setText("target", state.running ? targetText(state) : "");
     setText("lag", state.lag < 0.04 ? "" : `${Math.round(1000 * state.lag)} ms late`);
     $("lag").classList.toggle("bad", state.lag >= 0.25);
     this.showRecording(state);
@@ -78,8 +79,8 @@ function isJudged([, , faults, , complete]) {
   return complete || faults.some((fault) => fault !== "too weak");
 }
 
-// The level of the test, and the deviation of the measured level as soon as it is known.
-function levelText({ target, level_kind: kind, force }) {
+// The level of the test, and the deviation of the measured force as soon as it is known.
+function targetText({ target, force }) {
   const percent = (100 * (force / target - 1)).toFixed(1), sign = Number(percent) ? (percent < 0 ? "−" : "+") : "";
-  return `of ${reading(target, 3)} N ${kind}${force == null ? "" : `\n(${sign}${percent.replace("-", "")} %)`}`;
+  return `target ${reading(target, 3)} N${force == null ? "" : ` (${sign}${percent.replace("-", "")} %)`}`;
 }

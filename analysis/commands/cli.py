@@ -243,7 +243,7 @@ def export(
 ) -> None:
     """Export a recording as UFF, MATLAB, CSV, NPZ or WAV file."""
     from analysis.core.recordings.slices import Slice
-    from analysis.extras.formats.export import expected_bytes, kind_of
+    from analysis.extras.formats.export import expected_bytes, extension_of
     from analysis.extras.formats.export import export as export_segment
     from analysis.extras.formats.results import export_results
     from daq.core.recording.recording import open as open_recording
@@ -259,7 +259,7 @@ def export(
         return
     with open_recording(file) as recording:
         segment = Slice.of(recording, channel, from_s, to_s)
-        n_bytes = expected_bytes(segment, kind_of(output))
+        n_bytes = expected_bytes(segment, extension_of(output))
         print(f"writing {output}: about {n_bytes / 1e6:.3g} MB", file=sys.stderr)
         with count_progress("exporting") as progress:
             lines = export_segment(segment, output, speed, overwrite, progress)

@@ -42,8 +42,9 @@ for name, text in tests.items():
         hit = next(marker for marker in recording.markers if marker.kind == "hit").first_sample
         force, arm = (recording.read(channel, hit, hit + 4096) for channel in ("hammer", "arm"))
         overloads[name] = sum(marker.kind == "overload" for marker in recording.markers)
-        # N s; the minimum is taken below 2 kHz.
-        spectrum, frequency = abs(np.fft.rfft(force)) / 5120.0, np.fft.rfftfreq(4096, 1 / 5120.0)
+        # The spectrum of the force [N s] at 0 to 2560 Hz.
+        spectrum = abs(np.fft.rfft(force)) / recording.rate
+        frequency = np.fft.rfftfreq(force.size, 1 / recording.rate)
         above.semilogy(frequency, spectrum, label=name)
         try:
             frf = analysis.frfs(recording)["arm"]
@@ -51,7 +52,9 @@ for name, text in tests.items():
             print(f"{name}: {error}")
             # The ratio of the clipped spectra: acceleration, hence the division by the squared angular frequency.
             shown = (frequency > 10) & (frequency < 400)
-            ratio = abs(np.fft.rfft(arm))[shown] / 5120.0 / spectrum[shown] / (2 * np.pi * frequency[shown]) ** 2
+            ratio = (
+                abs(np.fft.rfft(arm))[shown] / recording.rate / spectrum[shown] / (2 * np.pi * frequency[shown]) ** 2
+            )
             below.semilogy(frequency[shown], 1e6 * ratio, "--")
             continue
     below.semilogy(frf.frequency, 1e6 * abs(frf.value), label=name)

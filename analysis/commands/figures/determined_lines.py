@@ -25,11 +25,12 @@ _MAX_PHASE_STEP = 0.3
 _MIN_DETERMINED = 0.75
 # A gap of fewer undetermined lines does not end a determined range; it is an antiresonance.
 _ANTIRESONANCE_LINES = 5
-#: Strips at undetermined lines are joined if at most one of this number of lines is between them: crumbs distract.
+#: Strips that mark undetermined lines are joined if at most this part of the lines, 1/100, lies between them: many
+#: short strips distract.
 LINES_PER_GAP = 100
-#: Curves with more lines than this are drawn as lines with some of their points: adjacent symbols would touch.
+#: Curves with more spectral lines than this are drawn continuous, with some of their points: symbols would touch.
 MAX_MARKED = 160
-#: Curves with more lines than this are drawn without points, which would hide each other.
+#: Curves with more spectral lines than this are drawn without points, which would hide each other.
 MAX_POINTS = 600
 
 

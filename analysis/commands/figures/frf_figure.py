@@ -46,7 +46,7 @@ _MIN_VISIBLE_RATIO = 0.02
 # On a logarithmic axis, this fraction of the magnitude replaces zero, and the inverse replaces infinity.
 _ZERO_RATIO = 1e-9
 # Upper ends of the phase axis [degrees], the preferred first: compliances of a driven body are from 0° to -180°, also
-# with scatter. A phase that passes through all angles wraps on a side of a resonance, not at its center.
+# with scatter. A phase that rotates by 360° wraps beside a resonance, where it changes slowly, not at the resonance.
 _PHASE_TOPS = (30.0, 120.0, 210.0)
 # Margin of the phase axis, in which a phase that exceeds the end for a short time is not wrapped [degrees].
 _WRAP_MARGIN = 15.0
@@ -60,9 +60,9 @@ _MARK_DISTANCE = 0.02
 _DASH_SCALE = 0.5
 _LABEL_COLOR = "#555555"
 _THEORY_COLOR = "#222222"
-# Instead of those of `PEAK_SYMBOLS`: the text of arrows, if lower peaks at the same frequency have none, ...
+# Replaces the text of `PEAK_SYMBOLS` for arrows, if only the highest of several peaks at one frequency has an arrow.
 _HIDDEN_ARROWS_TEXT = {"arrows": "Arrows: this peak and those below may be higher."}
-# ... and the texts of symbols below the sentence on the local model.
+# Replaces the texts of symbols that follow the sentence on the local model.
 _THIN_CURVE_TEXTS = {"circles": "Circles: its peaks.", "diamonds": "Diamonds: its peaks, may be higher."}
 
 

@@ -24,7 +24,7 @@ def present_fit(
     overwrite: bool,
     print_line: Callable[[str], None],
 ) -> tuple[list[Path], tuple[str, ...]]:
-    """Fit a scene to recordings; print the result, write the figure of residuals and, if it agrees, the fitted scene.
+    """Fit a scene to recordings; print the result, write the figure of residuals and, if the fit agrees, the scene.
 
     Raises `SceneError` if the output exists, or the fit is impossible. Raises `RunError` if the scene does not fit
     the recordings; the figure is written nevertheless.

@@ -30,7 +30,7 @@ def search_group(
     min_distance: float,
     sufficient_square: float,
 ) -> tuple[list[Jump], float]:
-    """Search for the jumps that best explain a segment; return them with the residual sum of squares.
+    """Search for the velocity jumps that best explain a segment; return them with the residual sum of squares.
 
     `fit`: joint fit of jumps to the segment with a number of iterations (1: fixed times), which returns the jumps and
     the residual sum of squares; `times`: limits of the times of the jumps [samples]; `min_distance`: minimum distance

@@ -270,7 +270,7 @@ def legendre_basis(length: int, degree: int) -> Array:
 
 
 def _without_polynomial(rows: Array, order: int) -> Array:
-    """Subtract from rows (..., length) their best polynomials of an order."""
+    """Subtract from rows (..., length) their least-squares polynomials of an order."""
     polynomials = legendre_basis(rows.shape[-1], order)
     # A single projection leaves rounding errors, because polynomials are much larger than the response to a jump.
     for _ in range(2):

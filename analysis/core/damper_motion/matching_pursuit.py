@@ -1,8 +1,9 @@
 """Orthogonal matching pursuit of velocity jumps in a segment of one channel, the largest first.
 
-Method: Y. C. Pati, R. Rezaiifar, P. S. Krishnaprasad, Asilomar 1993. The likelihood ratio of a jump (S. M. Kay,
-*Detection Theory*, 1998) is computed at every sample. Each local maximum above the detection threshold is a jump, which
-is fitted and subtracted. Overlapping jumps are fitted again jointly. The search is then repeated in the residual.
+Method: Y. C. Pati, R. Rezaiifar, P. S. Krishnaprasad, Asilomar 1993. The test statistic 2 ln L of the generalized
+likelihood ratio L of a jump (S. M. Kay, *Detection Theory*, 1998) is computed at every sample. Each local maximum above
+the detection threshold is a jump, which is fitted and subtracted. Overlapping jumps are fitted again jointly. The
+search is then repeated in the residual.
 
 The readings are differenced, so the response to a jump is short. A *window* is a range of these differences in
 which one jump is fitted. A *step* and a *slope change* are changes of the acceleration and of its slope (see
@@ -398,7 +399,10 @@ class MatchingPursuit:
         return np.maximum(np.repeat(local_level, lengths) / ndtri(0.5 + 0.5 * noise_quantile), self.noise_floor)
 
     def _likelihood_ratio(self) -> tuple[Array, Array]:
-        """Return the generalized likelihood ratio of a jump at every sample, in noise variances, and the noise."""
+        """Return the test statistic 2 ln L of a jump at every sample, and the noise.
+
+        It is the sum of squares that the jump explains, divided by the noise variance.
+        """
         # The filters of all sub-sample times span a space of few dimensions. The projections of a window on this space
         # bound the outputs of all filters, which are therefore computed only where a jump may be detected.
         noise = self.noise(self.noise_quantile)

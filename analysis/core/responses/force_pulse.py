@@ -9,9 +9,9 @@ import scipy
 from daq.core.signal_chain.channel import ChannelInfo
 from rig.core.base.arrays import Array, ComplexArray
 
-# Time for which the force window is 1 after the last sample of the impact, and then the duration of its taper [s].
+# Time for which the force window stays 1 after the impact, in addition to the ringing, and duration of its taper [s].
 TAPER_S = 2e-3
-# Additional time before the taper, for the ringing of low-pass filters, in time constants of the slowest.
+# Time for the ringing of low-pass filters, in time constants of the slowest; 0.1 % of the ringing then remains.
 _RINGING_TIME_CONSTANTS = 7.0
 
 

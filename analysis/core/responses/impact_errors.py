@@ -15,14 +15,15 @@ from analysis.core.responses.local_models.local_spectra import FIT_HALF_WIDTH
 from daq.core.recording.recording import Recording
 from rig.core.base.arrays import Array, ComplexArray
 
-# Number of parts of the force window with independent noise.
-_NOISE_PARTS = 16
+# Number of sections of the force window with independent noise.
+_NOISE_SECTIONS = 16
 # The readings are rounded again to coarser steps, to estimate the effect of rounding: step in counts, and mean square
 # of the change, relative to that of the original rounding error (1/12 count²).
 _COARSER_CONVERTERS = ((2.0, 6.0), (3.0, 8.0))
 # Signals below this number of counts are rounded again only if they contain noise, which acts as dither.
 _MIN_COUNTS = 6.0
-# Largest repeating fraction of the rounding error if noise dithers the signal: that of noise of half a count.
+# Largest fraction of the rounding error that is equal in all impacts, if noise dithers the signal: that of noise with
+# a standard deviation of half a count, exp(-2 pi² 0.5²).
 _MAX_REPRODUCIBLE = 0.007
 
 # Order of a polynomial that is as flexible as the fitted ratio of two polynomials: the sum of their orders.
@@ -57,11 +58,11 @@ def force_noise(
                 # Differences between samples are insensitive to the tail of an earlier impact.
                 variance = max(float(np.mean(np.diff(before) ** 2)) / 2.0, rounding_variance)
                 noise.append((end + n_window - begin) * variance)
-    n_parts = min(longest, _NOISE_PARTS)
-    if not noise or not n_parts:
+    n_sections = min(longest, _NOISE_SECTIONS)
+    if not noise or not n_sections:
         return np.zeros((frequency.size, 1), dtype=complex)
-    size = np.sqrt(float(np.mean(noise)) / n_parts / np.maximum(power, 1e-300))
-    centers = (np.arange(n_parts) + 0.5) * longest / n_parts - 0.5
+    size = np.sqrt(float(np.mean(noise)) / n_sections / np.maximum(power, 1e-300))
+    centers = (np.arange(n_sections) + 0.5) * longest / n_sections - 0.5
     shifts = np.exp(-2j * np.pi / rec.rate * frequency[:, None] * centers)
     return np.asarray((size * np.exp(-1j * np.angle(total)))[:, None] * shifts)
 

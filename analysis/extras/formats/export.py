@@ -172,14 +172,14 @@ def expected_bytes(segment: Slice, ending: str) -> float:
     return (segment.stop - segment.start) * (_BYTES_PER_SAMPLE[ending] * columns)
 
 
-def kind_of(path: Path) -> str:
+def extension_of(path: Path) -> str:
     """Return the extension, which determines the format; raise `SceneError` if it is not supported."""
-    kind = path.suffix.lower()
-    if kind not in _BYTES_PER_SAMPLE:
+    extension = path.suffix.lower()
+    if extension not in _BYTES_PER_SAMPLE:
         raise SceneError(
-            f"{path}: unknown format {kind!r}. Choose a name that ends in one of {', '.join(_BYTES_PER_SAMPLE)}."
+            f"{path}: unknown format {extension!r}. Choose a name that ends in one of {', '.join(_BYTES_PER_SAMPLE)}."
         )
-    return kind
+    return extension
 
 
 def export(
@@ -191,7 +191,7 @@ def export(
     the format cannot contain the segment. Raises `RecordingError` if the recording is damaged, or the format cannot
     represent lost samples. Raises `RunError` if the file cannot be written.
     """
-    kind = kind_of(path)
+    kind = extension_of(path)
     if speed != 1.0 and kind != ".wav":
         raise SceneError(f"{path}: `speed` applies only to sound. Omit `speed`, or choose a name that ends in .wav.")
     if progress is not None:

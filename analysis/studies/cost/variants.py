@@ -15,18 +15,18 @@ from rig.core.scene.scene import Scene
 RATE_RATIOS = (0.125, 0.25, 0.5, 2.0, 4.0, 8.0)
 #: Minimum number of samples per period of the highest frequency.
 MIN_SAMPLES_PER_PERIOD = 4.0
-#: Mounted resonances of the sensors, relative to the highest frequency.
+#: Mounted resonances of the sensors, relative to the highest frequency: from a visible to a negligible error.
 RESONANCE_RATIOS = (10.0, 100.0, 1000.0)
 #: Bits of the converter.
 BITS = (24, 16, 12)
-#: Lower corner frequency of an added integrator, relative to the lowest frequency.
+#: Lower corner frequency of an added integrator, relative to the lowest frequency: its phase error is visible there.
 CORNER_RATIO = 0.1
 #: Sensor settings whose effect no data sheet can correct: tolerances, and bias after switching on.
 UNCORRECTABLE_SETTINGS = (
     "sensitivity_tolerance", "temperature_drift", "temperature_change", "transverse", "lateral",
     "bias", "bias_settling",
 )  # fmt: skip
-#: Range of the converter relative to the largest voltage, if the scene gives no range.
+#: Range of the converter relative to the largest voltage, if the scene gives no range: noise and transients fit in.
 HEADROOM = 1.5
 
 #: Output of an integrator of order 0, 1, 2.

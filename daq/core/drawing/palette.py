@@ -10,6 +10,7 @@ def _rgb(color: str) -> Color:
     return red, green, blue
 
 
+# Neutral grays, distinct from the colors of the bodies on the dark page.
 STEEL: Color = (176, 184, 194)
 DARK_STEEL: Color = (96, 104, 116)
 GROUND: Color = (74, 80, 90)

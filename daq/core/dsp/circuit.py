@@ -79,7 +79,7 @@ def recovery(time: float) -> Section:
 
 @dataclass(frozen=True)
 class Circuit:
-    """Sections in series.
+    """Filter sections in series, as one linear state-space system.
 
     >>> chain = Circuit.series([high_pass(0.5, "low cut-off"), integration(0.0, 1.0)])
     >>> chain.a.shape, chain.d

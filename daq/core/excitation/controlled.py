@@ -54,7 +54,7 @@ def controlled(station: Station) -> Controlled | None:
 
 
 def displacement(station: Station, at: str) -> Controlled:
-    """Return the displacement at a location; raise `SceneError` as `controlled`."""
+    """Return the displacement at a location; raise `SceneError` if no channel measures it."""
     return _sum_of_displacements(station, {at: 1.0}, _MOTION)
 
 
@@ -68,7 +68,10 @@ def measured_force(station: Station) -> Controlled | None:
 
 
 def spring_force(station: Station) -> Controlled:
-    """Return the force of the driven shaker's coil spring, F1 = k0 (x0 - x1); raise `SceneError` as `controlled`."""
+    """Return the force of the driven shaker's coil spring, F1 = k0 (x0 - x1).
+
+    Raises `SceneError` if no channel measures one of the displacements.
+    """
     shaker = station.scene.driven_shaker
     assert shaker is not None
     terms = shaker.force_terms("", station.scene.at_driven("table"))

@@ -56,7 +56,7 @@ class ImpulseProcedure(Procedure["Impulse"]):
                 station.report((hit - 1 + stop / interval) / test.repeats, f"impact {hit} of {test.repeats}")
 
     def power_on_wait(self, channels: Sequence[ChannelInfo]) -> float:
-        """Return the longest time before the first impact [s], with the recording of offsets and noise."""
+        """Return the maximum time before the first impact [s]: sensors settle, then offsets and noise are recorded."""
         return BASELINE_S + longest_duration(channels)
 
     def part(self, test: Impulse, seconds: float, scene: Scene) -> Impulse:

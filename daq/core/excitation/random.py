@@ -16,7 +16,7 @@ NoiseT = TypeVar("NoiseT", bound="Random | RandomControl")
 
 # Length of the shaping filter [s]; its frequency resolution is therefore 0.25 Hz.
 _FILTER_S = 4.0
-# Length of a block [s]; a block contains one burst.
+# Length of a block [s]: one burst and the pause after it.
 _BLOCK_S = 8.0
 # Duration of the rise at the start and of the fall at the end of a burst, and of the test [s].
 _EDGE_S = 0.02

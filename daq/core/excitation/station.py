@@ -83,7 +83,7 @@ class Station:
 
     @cached_property
     def is_controlled(self) -> bool:
-        """Whether the test prescribes a spring force or a motion, which is controlled from the channels."""
+        """Whether the test runs in closed loop: the channels measure a prescribed spring force or motion."""
         return bool(self.scene.controlled_terms)
 
     def drive(self, wave: Array, name: str | None = None) -> Array:

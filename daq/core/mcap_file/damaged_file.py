@@ -140,7 +140,7 @@ class DamagedFile:
         return None, None
 
     def _spend_unconfirmed(self, length: int) -> bool:
-        """Count the bytes of a record that no other record follows; return whether their total is within the limit."""
+        """Subtract a record without valid successor from the bytes that may be unconfirmed; return if any are left."""
         self._unconfirmed_bytes_left -= length
         return self._unconfirmed_bytes_left >= 0
 

@@ -137,7 +137,7 @@ class Limits:
         return Exceedance(first + sample, self._channels[row], value, limit)
 
     def close(self) -> None:
-        """Mark the open alarms."""
+        """Write a marker for each alarm that lasts until the end of the test."""
         self._alarms.close()
 
 

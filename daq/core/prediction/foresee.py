@@ -340,7 +340,7 @@ class _Assessment:
                 )
 
     def _unclipped_drive(self, row: int, limit: float) -> float:
-        """Return the largest drive of a test without tones, in proportion to the drive at a level without clipping."""
+        """Extrapolate the largest drive of a test without tones from a rehearsal at a lower level without clipping."""
         scene, level = self.unlimited_test.parts[0].scene, self.level
         for _ in range(_MAX_LEVEL_REDUCTIONS):
             level *= _LEVEL_REDUCTION

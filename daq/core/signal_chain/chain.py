@@ -75,7 +75,7 @@ class Chain:
         self.effects = {info.name: effects for _, info, effects in parts}
 
     def _build_channel(self, row: int, channel: Channel) -> tuple[SignalPath, ChannelInfo, dict[str, int]]:
-        """Return the signal path of a channel, at rest, its description and its effects."""
+        """Return the signal path of a channel in its initial state, its description, and its simulated effects."""
         scene, delay = self._scene, self._delays[row]
         settings, converter = input_settings(scene.converter, channel), complete_from_preset(scene.converter)
         stages = channel_stages(channel, settings, scene.seed)

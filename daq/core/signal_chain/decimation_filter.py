@@ -19,9 +19,9 @@ from rig.core.base.arrays import Array
 
 # Number of Legendre moments per interval. The relative error of the filter's output is then at most 3e-6.
 MOMENTS = 8
-# Edge of the passband as a ratio to the sample rate.
+# Edge of the passband as a ratio to the sample rate, as in data sheets of delta-sigma converters.
 PASSBAND_EDGE = 0.4535
-# Edge of the stopband as a ratio to the sample rate.
+# Edge of the stopband as a ratio to the sample rate: frequencies above it fold to the passband's edge or above.
 STOPBAND_EDGE = 0.5465
 # Delay of the filter, half its length. With a Kaiser window of this length, the stopband is below -100 dB.
 DELAY_SAMPLES = 38
@@ -86,6 +86,7 @@ def legendre_taps(low_pass: DecimationFilter, oversampling: int) -> Array:
     `length` is the length of the response in sample intervals. Entry (p, k, j) multiplies moment k of the interval
     whose end is j sample intervals and p intervals before the output sample.
     """
+    # Exact for polynomials up to the degree 63.
     nodes, weights = legendre.leggauss(32)
     interval = np.arange(low_pass.length * oversampling)[:, None]
     # Time from each quadrature node of an interval (-1: start, 1: end) to the output sample, in sample intervals.

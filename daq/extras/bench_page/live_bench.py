@@ -167,7 +167,7 @@ class TestController:
     def details(self) -> str:
         """Settings of the last test that are not fields of the page, such as the rate of a sweep.
 
-        The settings of a single impact are those of one of the averaged impacts.
+        Empty after a single impact, which has the settings of the averaged impacts.
         """
         return "" if self._test is None or self._single_impact else ", ".join(self._test[1].details)
 

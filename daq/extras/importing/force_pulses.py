@@ -13,12 +13,12 @@ _PULSE_RATIO = 0.05
 _IMPACT_RATIO = 0.1
 # The force of a hammer acts for at most this fraction of the time; a shaker acts all the time.
 _MAX_CONTACT_SHARE = 0.2
-# Time after an impact in which further pulses are ignored as bounces of the hammer [s].
+# Time after an impact in which further pulses are bounces of the hammer [s]; no person hits twice in this time.
 _BOUNCE_S = 0.2
 # An impact is double if a bounce of the hammer has at least this fraction of the impact's peak: a smaller bounce has
 # little effect on the spectrum.
 _DOUBLE_RATIO = 0.1
-# Two crossings of the threshold within this time belong to the same pulse [s].
+# Two crossings of the threshold within this time belong to the same pulse [s]: noise crosses it several times.
 _CHATTER_S = 1e-3
 # Maximum number of stored pulses, to limit the memory; no test has more impacts.
 _MAX_PULSES = 200_000

@@ -1,4 +1,4 @@
-"""Errors of the instrument, with the codes that NI publishes for its driver: clients check these codes."""
+"""Errors of the emulated device, with the codes that NI publishes for its driver: clients check these codes."""
 
 from collections.abc import Mapping
 
@@ -10,7 +10,7 @@ Code = DAQmxErrors
 STOPPED_BEFORE_DONE = int(DAQmxWarnings.STOPPED_BEFORE_DONE)
 
 
-# Error messages of NI's driver for the errors of the instrument. Scripts and users recognize errors by these messages.
+# Error messages of NI's driver for the errors of the device. Scripts and users recognize errors by these messages.
 DRIVER_TEXTS: Mapping[int, str] = {
     STOPPED_BEFORE_DONE: "Finite acquisition or generation has been stopped before the requested number of "
     "samples were acquired or generated.",
@@ -80,7 +80,7 @@ def driver_text(code: int) -> str:
 
 
 class DaqError(ShotrigError):
-    """An error in a call of the instrument.
+    """An error in a call of the emulated device.
 
     `message` is the cause and the remedy, `code` the driver's code, `samples_done` the number of samples per channel
     that were read or written before the error.
@@ -102,7 +102,7 @@ def invalid_value(message: str) -> DaqError:
 
 
 def unsupported(feature: str, remedy: str = "Test this part with hardware.") -> DaqError:
-    """Return the error for a function that this instrument does not support (-200452)."""
+    """Return the error for a function that the emulated device does not support (-200452)."""
     return DaqError(
         f"{feature} is not supported by the emulated device. {remedy}", Code.ATTRIBUTE_NOT_SUPPORTED_IN_TASK_CONTEXT
     )

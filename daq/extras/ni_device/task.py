@@ -106,7 +106,7 @@ class Task:
             self._active_part.start(*trigger_sources(self.settings, self.chassis))
 
     def _check_event_interval(self) -> None:
-        """Raise `DaqError` -200877 if an event every N samples does not divide the buffer of a device with DMA."""
+        """Raise `DaqError` -200877 if the interval of events does not divide the buffer size of a device with DMA."""
         interval, stream = (
             self.events.interval,
             "in_stream.input" if self.settings.direction == "ai" else "out_stream.output",

@@ -114,9 +114,9 @@ def serve(
 
 
 def collect_garbage_often() -> None:
-    """Collect the garbage of closed tasks early; at the threshold of commands, a server would grow by hundreds of MB.
+    """Run the garbage collector more often than commands do: closed tasks would occupy hundreds of MB.
 
-    The present objects are excluded from later collections, because these would delay clients.
+    Objects that exist now are exempt, because scanning them would delay clients.
     """
     gc.collect()
     gc.freeze()

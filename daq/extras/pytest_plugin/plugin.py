@@ -50,7 +50,10 @@ def pytest_runtest_setup() -> None:
 
 @pytest.hookimpl(wrapper=True)  # type: ignore[untyped-decorator]
 def pytest_fixture_setup(fixturedef: pytest.FixtureDef[Any]) -> Generator[None, object, object]:
-    """Note the tasks that a fixture of longer scope opens, also if a test requests it while it runs."""
+    """Record the tasks that a fixture of module or session scope opens, which the end of a test must not close.
+
+    A running test can request such a fixture, too.
+    """
     before = {bench: bench.open_tasks for bench in _benches_in_use}
     result = yield
     if fixturedef.scope != "function":

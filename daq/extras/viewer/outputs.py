@@ -32,15 +32,15 @@ from rig.core.base.progress import FractionProgress
 
 APPLICATION = "shotrig"
 NO_DISPLAY_REMEDY = "Use `web` for a browser, `screenshot` FILE.png for a picture, or `save` FILE.rrd for a file."
-# Memory of the viewer per sample [bytes]: its value, time and index.
-_BYTES_PER_VALUE = 20
+# Memory of the viewer per sample [bytes]: its value (4), time and index (8 each).
+_BYTES_PER_SAMPLE = 20
 # Name of the rerun entity that is logged last: a viewer that has received it has received all data before it.
 _LAST_ENTITY = "complete"
 # A note is printed if the viewer will need more memory than this value, GB.
 _NOTE_ABOVE_GB = 2.0
 # Height of the menu of the viewer, pixels. Pictures omit it: it shows warnings on a machine without a graphics card.
 _MENU_PIXELS = 38
-# Longest wait [s] for a viewer or a file to accept a block; a closed viewer must not stop the command.
+# Longest wait [s] for a viewer or a file to accept a block of samples; a closed viewer must not stop the command.
 _MAX_SINK_WAIT_S = 60.0
 
 
@@ -150,7 +150,7 @@ def show(
     """Show a replay in a `window` or on a `server` until the viewer ends; raise `RunError` if it does not start."""
     with viewer_context as running:
         # The viewer keeps all samples in memory; if the memory is full, it drops the oldest samples.
-        gigabytes = replay.n_values * _BYTES_PER_VALUE / 1e9
+        gigabytes = replay.n_values * _BYTES_PER_SAMPLE / 1e9
         if gigabytes > _NOTE_ABOVE_GB:
             print(
                 f"note: the viewer will take about {gigabytes:.0f} GB of memory. To use less, show a part of the "

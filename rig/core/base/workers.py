@@ -131,7 +131,10 @@ def _start_processes(cleanup: ExitStack) -> Executor:
 
 
 def _initialize_worker(parent: int, first: Semaphore) -> None:
-    """Initialize a worker: a single thread for linear algebra; signals are handled by the `parent` (process id)."""
+    """Initialize a worker: one thread for linear algebra; the `parent` (process id) handles signals of the system.
+
+    `first`: semaphore that one worker acquires, which reports the compilation.
+    """
     # A terminal sends Ctrl-C to all processes.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     # Only the worker that acquires `first` reports that it compiles: all workers compile the same functions.

@@ -36,7 +36,7 @@ def merge_spans(spans: Iterable[tuple[int, int]], pause: int = 0) -> list[tuple[
 def ranges_of(values: Array, flags: NDArray[np.bool_], per_gap: int = 0) -> list[tuple[float, float]]:
     """Return the ranges of ascending values whose flag is set; a range ends halfway to the next value.
 
-    `per_gap`: ranges are joined if at most one of this number of values is between them; 0: never.
+    `per_gap`: ranges are joined if at most 1 / `per_gap` of all values lies between them; 0: never.
 
     >>> ranges_of(np.arange(5.0), np.array([False, True, True, False, True]))
     [(0.5, 2.5), (3.5, 4.0)]

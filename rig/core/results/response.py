@@ -190,8 +190,8 @@ class Response(ResponseArithmetic, Sequence["Response"]):
         """
         if self.reference != "force":
             raise SceneError(
-                f"{self.response}: UFF 58 files contain responses to a force, not to the {self.reference}. Choose "
-                "another format, such as CSV."
+                f"{self.response}: UFF 58 files are written for responses to a force, not to the "
+                f"{self.reference}. Choose another format, such as CSV."
             )
         if nodes is None:
             nodes = [body_number(point.place) or k for k, point in enumerate(self.outputs, 1)]

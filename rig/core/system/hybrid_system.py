@@ -356,7 +356,7 @@ class HybridSystem:
 
     @property
     def start_regimes(self) -> NDArray[np.int64]:
-        """Number of each element's regime at the start, shape (elements,)."""
+        """Index of each element's regime at the start, shape (elements,)."""
         return np.array(
             [list(element.law.regimes).index(element.law.start) for element in self.elements], dtype=np.int64
         )

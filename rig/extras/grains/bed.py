@@ -121,7 +121,7 @@ class Bed:
 
     @property
     def gap(self) -> float:
-        """Height of the center of mass above its initial height [m]."""
+        """Height of the center of mass above its initial height [m]: the gap of the equivalent single mass."""
         return self.center_of_mass - self._initial_center_of_mass
 
     @property

@@ -79,7 +79,7 @@ class CoupledPropagator:
 
     @property
     def ambiguous(self) -> int:
-        """Number of contact decisions within rounding error so far, for the dampers without grains."""
+        """Number of decisions so far, for dampers without grains, that rounding errors could have reversed."""
         return self.structure.ambiguous
 
     @property

@@ -93,7 +93,7 @@ def _setting(info: ChannelInfo, name: str, kind: Kind, default: float = 0.0) -> 
 
 
 def tolerance(rec: Recording, name: str) -> float:
-    """Return a channel's `stated_tolerance`, or `ASSUMED_TOLERANCE` more if the tolerance of its sensor is assumed."""
+    """Return the tolerance of a channel: `stated_tolerance`, plus `ASSUMED_TOLERANCE` if its sensor states none."""
     return stated_tolerance(rec.channels[name]) + (ASSUMED_TOLERANCE if has_assumed_tolerance(rec, name) else 0.0)
 
 

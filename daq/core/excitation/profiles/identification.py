@@ -20,7 +20,7 @@ MIN_COHERENCE = 0.9
 _RESPONSE_RATIO = 0.1
 # First level, relative to that of a table or 1 kg: an unknown rig must not be overloaded.
 _FIRST_RATIO = 0.1
-# Largest change of a line, or of all lines, in one step: a larger step could overload the rig.
+# Largest factor by which the drive of a line, or of all lines, changes in a step: a larger one could overload the rig.
 _MAX_STEP = 10.0
 # Maximum number of increases of the level until a response is detected: ten steps by a factor of 10 exceed any range.
 _MAX_SEARCHES = 10
@@ -126,7 +126,7 @@ def identify(
 def _first_drive(
     station: Station, lines: Lines, period: int, desired: Array, response_ratio: float
 ) -> tuple[Array, float]:
-    """Return amplitudes of a weak drive, and the largest factor by which they may rise; infinite if they are rough."""
+    """Return amplitudes of a weak drive, and the largest factor by which they may rise (rough estimate: infinite)."""
     # The drive of a table follows from its model, for `response_ratio` times the response of the test. The drive of a
     # force is equal at all lines, estimated for a mass of 1 kg.
     shaker = station.scene.driven_shaker

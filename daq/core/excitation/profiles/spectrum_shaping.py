@@ -1,4 +1,4 @@
-"""Sum of tones as a drive with a flat force spectrum: the amplitude of each tone is adjusted by iteration.
+"""Equalization of a multisine drive: iterations adjust the amplitude of each tone until the force spectrum is flat.
 
 The force is measured by the channels. A spectral line is a multiple of the fundamental frequency (the inverse of the
 period); the multiple is its number.
@@ -25,6 +25,8 @@ _MAX_STEP_RATIO = 4.0
 _MAX_LINE_RATIO = 100.0
 # Tolerance of the lines' rms and median force, below the usual tolerance of sensors.
 _LEVEL_TOLERANCE = 0.03
+# A test is warned of a level that differs by more than this fraction: the response refers to the measured force.
+_WARNED_DEVIATION = 5.0 * _LEVEL_TOLERANCE
 
 
 def lines_between(first: float, last: float, period: int, rate: float) -> Lines:
@@ -79,7 +81,7 @@ def equalize(
     present_wave = np.zeros(period)
     force, rms, first = target, 0.0, station.now
     for iteration in range(_MAX_ITERATIONS):
-        station.report(0.0, f"shaping the drive, iteration {iteration + 1}")
+        station.report(0.0, f"equalizing the drive, iteration {iteration + 1}")
         wave = sum_of_tones(lines, amplitudes, phases, period)
         factor = limit_factor(station, wave)
         limited, wave = amplitudes * factor, wave * factor
@@ -94,11 +96,11 @@ def equalize(
             break
         ratio = np.clip(target / np.maximum(force, 1e-12 * target), 1 / _MAX_STEP_RATIO, _MAX_STEP_RATIO)
         amplitudes = np.minimum(limited * ratio, _MAX_LINE_RATIO * np.median(limited * ratio))
-    is_at_level = abs(rms / level - 1) < 5 * _LEVEL_TOLERANCE
+    is_at_level = abs(rms / level - 1) < _WARNED_DEVIATION
     station.mark("settle", first, station.now, level=level, force=rms, settled=is_at_level)
     if not is_at_level:
         station.warn(
-            f"the spring force is {rms:.3g} N rms; expected its level of {level:g} N rms. Choose a level that the "
-            "amplifier can produce."
+            f"the spring force is {rms:.3g} N rms; expected its level of {level:g} N rms. Lower the level if the "
+            "drive is at the limit of the amplifier; raise it if the noise of the channels is as large as the force."
         )
     return limited, force / limited, present_wave

@@ -62,9 +62,9 @@ class SweepControl:
     """Computes the complex amplitude of the drive Re(amplitude e^{i phase}) at the end of the next update interval.
 
     Feedback alone is too slow, because the amplitude of the force is measured over some periods: a mode with damping
-    ratio zeta settles in 1 / (zeta w), and a sweep passes it in a shorter time. The drive is therefore
+    ratio ζ and angular frequency ω settles in 1 / (ζ ω), and a sweep passes it in a shorter time. The drive is thus
     feedforward. For force F and motion X the shaker requires D = a F + b X (`ShakerLaw`), in a transient D = a F
-    + a' dF/dt + b X + b' dX/dt, where a' and b' are the derivatives with respect to s. The mode nearest to the tone
+    + a' dF/dt + b X + b' dX/dt, where a' and b' are the derivatives with respect to s = i ω. The mode nearest the tone
     (`NearestMode`) predicts X. The delay of the observations is compensated by a simulation with the drive that was
     output since then.
     """

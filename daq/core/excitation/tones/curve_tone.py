@@ -27,7 +27,7 @@ _SMALL_TURN = 0.05
 
 
 class Point(NamedTuple):
-    """A settled point of a curve."""
+    """A point of a response curve, measured in steady state."""
 
     frequency: float  # frequency of the tone [Hz]
     motion: float  # displacement amplitude [m]

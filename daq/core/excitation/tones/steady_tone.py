@@ -194,7 +194,10 @@ class SteadyTones:
         return self.station.drive(reduce(np.add, waves))
 
     def _transition(self, samples: int, drives: Mapping[float, float]) -> Array:
-        """Return the drive of a transition; `drives`: amplitudes by frequency in Hz, in the order of the tones."""
+        """Return the drive of a transition to other tones.
+
+        `drives`: amplitudes by frequency in Hz, in the order of the tones.
+        """
         return self._drive(
             [tone.transition(samples, *target) for tone, target in zip(self.tones, drives.items(), strict=True)]
         )

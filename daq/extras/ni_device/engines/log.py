@@ -81,7 +81,7 @@ class MarkedRecording:
         self._recorder.close(*self._outcome)
 
     def end_with(self, error: Exception) -> Exception:
-        """Complete the file after an error as far as possible; return the error, which states its content."""
+        """Complete the file after an error as far as possible; return the error, which states what the file has."""
         try:
             with self._recorder:
                 raise error

@@ -138,7 +138,7 @@ class KindOfTest(Settings):
 
     @property
     def details(self) -> tuple[str, ...]:
-        """Further settings of the test, in few words."""
+        """Settings of the test besides its level and band, in a few words."""
         return ()
 
     @property
@@ -359,6 +359,6 @@ def spaced_frequencies(first: float, last: float, points: int, spacing: str) -> 
 
 
 def check_band(low: float, high: float) -> Iterable[Problem]:
-    """Check that a frequency band is given with its lower end first."""
+    """Check that the lowest frequency of a band is below the highest."""
     if low >= high:
         yield Problem(("from",), f"got {low:g} Hz, which is not below `to`, {high:g} Hz. Give the lower end first.")

@@ -305,9 +305,11 @@ def design(
     """
     from rig.core.base.extensions import test_predictions
     from rig.core.base.output_files import allow_overwriting, file_stem, prepare_outputs
+    from rig.studies.design.check_text import describe_check
     from rig.studies.design.design import design as choose_dampers
     from rig.studies.design.evaluator import STUDY
-    from rig.studies.design.figure import describe_check, summary, write
+    from rig.studies.design.figure import write
+    from rig.studies.design.summary import summary
 
     loaded_scene = load_scene(scene, changes)
     stem = output / file_stem("design", loaded_scene.name)

@@ -1,7 +1,6 @@
 """Figure of frequency responses: magnitude with its 95 % band, phase and coherence."""
 
 from collections.abc import Sequence
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -30,28 +29,20 @@ from analysis.commands.figures.peak_marks import (
     peak_marks,
     without_hidden_arrows,
 )
+from analysis.commands.figures.phase_axis import break_at_wraps, drawn_phases, phase_degrees, phase_ticks, phase_top
 from analysis.core.damper_motion.comparison import resonance_peaks
-from analysis.core.responses.frequency_responses import EXCLUDED_ALIASING
-from rig.core.base.arrays import Array, ComplexArray
+from rig.core.base.arrays import Array
 from rig.core.base.escaping import escape_figure
 from rig.core.base.figure_style import add_legend_below, add_title, frequency_axis, log_axis, new_figure
 from rig.core.base.figure_types import Axes, Figure
 from rig.core.base.palette import CurveStyle, faded, location_style, location_styles
 from rig.core.numerics.runs import ranges_of
 from rig.core.results.response import Response
-from rig.core.results.uncertainty import CLOCK, SENSITIVITY, SYSTEMATIC
 
 # An interval below this fraction of the magnitude is narrower than the points, and is not explained.
 _MIN_VISIBLE_RATIO = 0.02
 # On a logarithmic axis, this fraction of the magnitude replaces zero, and the inverse replaces infinity.
 _ZERO_RATIO = 1e-9
-# Upper ends of the phase axis [degrees], the preferred first: compliances of a driven body are from 0° to -180°, also
-# with scatter. A phase that rotates by 360° wraps beside a resonance, where it changes slowly, not at the resonance.
-_PHASE_TOPS = (30.0, 120.0, 210.0)
-# Margin of the phase axis, in which a phase that exceeds the end for a short time is not wrapped [degrees].
-_WRAP_MARGIN = 15.0
-# A piece of a phase curve with fewer points is not drawn: it looks like a stroke across the axis.
-_MIN_FRAGMENT = 3
 # Height of the strip that marks undetermined points, relative to the axes.
 _STRIP_HEIGHT = 0.012
 # Distance between the symbols of curves with many lines, relative to the diagonal of the axes.
@@ -343,33 +334,6 @@ def undetermined_text(frfs: Sequence[Response]) -> str:
     return "noise, or uncertainty above 100 %" + f" due to {', '.join(sorted(causes))}" * bool(causes)
 
 
-def includes_sensors(frfs: Sequence[Response]) -> bool:
-    """Return whether the uncertainties of all responses contain tolerances of their sensors."""
-    return all(any(name in frf.limits for name in (SENSITIVITY, SYSTEMATIC)) for frf in frfs)
-
-
-def unstated_tolerances(frfs: Sequence[Response]) -> list[str]:
-    """Return the causes of errors that the uncertainties of responses lack, because the scene does not state them."""
-    has_clock = all(CLOCK in frf.limits for frf in frfs)
-    missing = ["calibration"] * (not includes_sensors(frfs)) + ["the sample clock"] * (not has_clock)
-    return missing + ["aliasing"] * any(EXCLUDED_ALIASING in text for frf in frfs for text in frf.warnings)
-
-
-def unstated_text(missing: Sequence[str]) -> str:
-    """Write which errors the intervals of results lack, and why; `missing`: from `unstated_tolerances`.
-
-    >>> unstated_text(["calibration", "the sample clock", "aliasing"])
-    'errors of calibration, the sample clock and aliasing: no tolerance or filter is stated'
-    """
-    errors = " and ".join(filter(None, [", ".join(missing[:-1]), missing[-1]]))
-    return f"errors of {errors}: no tolerance{' or filter' * ('aliasing' in missing)} is stated"
-
-
-def intervals_text(missing: Sequence[str]) -> str:
-    """Write which errors the intervals of results lack, for a caption; `missing`: from `unstated_tolerances`."""
-    return f"95 % intervals (without {unstated_text(missing)})" if missing else "95 % intervals"
-
-
 def _visible_edges(frf: Response, drawn: Array) -> Array:
     """Return the magnitudes that the axis must include: a drawn curve and its band, a decade beyond the lines at most.
 
@@ -385,65 +349,3 @@ def _visible_edges(frf: Response, drawn: Array) -> Array:
     upper = np.append(magnitude + total, np.nanmax(inside, initial=0.0))
     edges = np.concatenate([np.minimum(np.append(upper, drawn), 10.0 * magnitude.max()), magnitude - total])
     return np.asarray(edges[edges > 0.1 * magnitude.min()])
-
-
-def break_at_wraps(frequency: Array, angle: Array, values: Array | None = None) -> tuple[Array, Array]:
-    """Insert gaps (NaN) into a line where the phase wraps; `values`: values of the line, by default the angles."""
-    with np.errstate(invalid="ignore"):
-        wraps = np.flatnonzero(abs(np.diff(angle)) > 180.0) + 1
-    between = (frequency[wraps - 1] + frequency[wraps]) / 2.0
-    return np.insert(frequency, wraps, between), np.insert(angle if values is None else values, wraps, np.nan)
-
-
-def phase_degrees(value: ComplexArray, top: float = _PHASE_TOPS[0]) -> Array:
-    """Return the phase in degrees, from `top` - 360 to `top`.
-
-    A piece of a curve between two wraps that stays within the margin of the axis is not wrapped. Undefined values (NaN)
-    do not change the other phases.
-    """
-    phase = np.full(value.shape, np.nan)
-    is_known = np.isfinite(value)
-    angle = top - np.mod(top - np.degrees(np.angle(value[is_known])), 360.0)
-    wraps = np.flatnonzero(abs(np.diff(angle)) > 180.0) + 1
-    for start, stop in pairwise(wraps.tolist()):
-        piece = angle[start:stop]
-        if (abs(piece - top) < _WRAP_MARGIN).all():
-            piece -= 360.0
-        elif (abs(piece - top + 360.0) < _WRAP_MARGIN).all():
-            piece += 360.0
-    phase[is_known] = angle
-    return phase
-
-
-def drawn_phases(curve: DrawnResponse, top: float) -> tuple[Array, Array]:
-    """Return the phases of a drawn curve and of its lines, wrapped at the same places; NaN where not determined."""
-    frequency = np.concatenate([curve.frequency, curve.lines.frequency])
-    value = np.concatenate([curve.value, np.where(curve.has_phase, curve.lines.value, np.nan)])
-    order, angle = np.argsort(frequency, kind="stable"), np.empty(frequency.size)
-    angle[order] = phase_degrees(value[order], top)
-    line, points = np.split(angle, [curve.frequency.size])
-    breaks = np.flatnonzero(~(abs(np.diff(line)) <= 180.0)) + 1
-    for start, stop in pairwise([0, *breaks.tolist(), line.size]):
-        if stop - start < _MIN_FRAGMENT:
-            line[start:stop] = np.nan
-    return line, points
-
-
-def phase_ticks(top: float) -> list[float]:
-    """Return the ticks of a phase axis with an upper end, degrees.
-
-    >>> phase_ticks(30.0)
-    [-270.0, -180.0, -90.0, 0.0]
-    """
-    return [90.0 * k for k in range(int(top // 90.0) - 3, int(top // 90.0) + 1)]
-
-
-def phase_top(frfs: Sequence[Response]) -> float:
-    """Return the upper end of the phase axis [degrees] at which the curves, except those that fold back, wrap least."""
-    ordered = [frf.sorted() for frf in frfs if not folds_back(frf.frequency)]
-    values = [frf.value[is_determined(frf) & is_smooth(frf)] for frf in ordered]
-
-    def wraps(top: float) -> int:
-        return sum(int(np.count_nonzero(abs(np.diff(phase_degrees(each, top))) > 180.0)) for each in values)
-
-    return min(_PHASE_TOPS, key=wraps)

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from analysis.commands.figures.determined_lines import MAX_MARKED, determined_band, is_determined
-from analysis.commands.figures.frf_figure import intervals_text, unstated_tolerances
+from analysis.commands.figures.tolerance_texts import intervals_text, unstated_tolerances
 from analysis.core.modal.mode_warnings import EXTRAPOLATED_TO, MAX_LINEAR_RESIDUAL, extrapolates_damping
 from analysis.core.modal.modes import MODE_WIDTH, Modes
 from rig.core.base.arrays import Array

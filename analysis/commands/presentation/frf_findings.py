@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from analysis.commands.figures.frf_figure import unstated_text, unstated_tolerances
+from analysis.commands.figures.tolerance_texts import unstated_text, unstated_tolerances
 from analysis.commands.presentation.inputs import check_inputs, labels, read_curves
 from analysis.commands.presentation.outputs import (
     CommandOutput,

@@ -14,10 +14,7 @@ from analysis.commands.presentation.outputs import (
 from analysis.commands.presentation.tables import Row, write_table
 from analysis.core.recordings.names import OpenRecordings, scene_labels, with_recordings
 from analysis.core.responses.measurands import select_channels
-from analysis.core.signals.shock_spectrum import (
-    ShockSpectrum,
-    srs,
-)
+from analysis.core.signals.shock_spectrum import ShockSpectrum, srs
 from daq.core.recording.recorded_test import deviation_unit, shocks_of
 from daq.core.recording.recording import Recording
 from rig.core.base.figure_style import save_figure

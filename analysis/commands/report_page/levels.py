@@ -6,8 +6,8 @@ from itertools import pairwise
 import numpy as np
 import scipy
 
-from analysis.commands.figures.frf_figure import intervals_text
 from analysis.commands.figures.peak_marks import MODE_SHIFT
+from analysis.commands.figures.tolerance_texts import intervals_text
 from analysis.commands.report_page.measurements import Measurement, SweepResults, missing_tolerances
 from analysis.core.damper_motion.dampers import Dampers
 from analysis.core.modal.mode_warnings import extrapolates_damping

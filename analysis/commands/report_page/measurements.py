@@ -10,15 +10,10 @@ from typing import ParamSpec, Self, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.commands.figures.frf_figure import unstated_tolerances
 from analysis.commands.figures.peak_marks import PeakMark, peak_marks
+from analysis.commands.figures.tolerance_texts import unstated_tolerances
 from analysis.commands.presentation.outputs import with_recording_name, with_sweep_name
-from analysis.core.damper_motion.comparison import (
-    Peak,
-    peak_bands,
-    resonance_peak,
-    resonance_peaks,
-)
+from analysis.core.damper_motion.comparison import Peak, peak_bands, resonance_peak, resonance_peaks
 from analysis.core.damper_motion.dampers import Dampers, dampers_in
 from analysis.core.decays.free_decay import Decay, decay
 from analysis.core.modal.identification import identify

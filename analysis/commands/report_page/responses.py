@@ -10,14 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.commands.figures.determined_lines import LINES_PER_GAP, MAX_MARKED, folds_back
-from analysis.commands.figures.frf_figure import (
-    break_at_wraps,
-    drawn_phases,
-    phase_ticks,
-    phase_top,
-    undetermined_text,
-)
+from analysis.commands.figures.frf_figure import undetermined_text
 from analysis.commands.figures.peak_marks import MODE_SHIFT, PEAK_SYMBOLS, PeakMark, drawn_response
+from analysis.commands.figures.phase_axis import break_at_wraps, drawn_phases, phase_ticks, phase_top
 from analysis.commands.report_page.charts import (
     REQUIRED,
     Chart,

@@ -8,7 +8,7 @@ from operator import le
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.commands.figures.frf_figure import unstated_text
+from analysis.commands.figures.tolerance_texts import unstated_text
 from analysis.commands.presentation.damper_findings import detection_limits
 from analysis.commands.presentation.mode_findings import MIN_SAME_SHAPE_MAC
 from analysis.commands.report_page.levels import level_headline, level_points

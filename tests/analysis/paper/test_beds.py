@@ -35,7 +35,7 @@ from rig.core.base.errors import RunError
 from rig.core.base.workers import Workers
 from rig.core.steady_response.frequency_response import frequency_response
 from rig.extras.bed_response.steady_bed import as_one_mass, steady_mass
-from rig.studies.design.figure import BELOW_CEILING, INTERQUARTILE_RANGE, WITHOUT_CEILING
+from rig.studies.design.grain_check import BELOW_CEILING, INTERQUARTILE_RANGE, WITHOUT_CEILING
 
 
 def synthetic_row(setting: Setting) -> dict[str, str]:

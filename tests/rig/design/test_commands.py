@@ -9,9 +9,11 @@ from typer.testing import CliRunner
 
 import rig
 from rig.studies.design.check import missing_channels, scene_with_check
+from rig.studies.design.check_text import describe_check
 from rig.studies.design.choice import Choice, Trial
-from rig.studies.design.figure import describe_check, summary, write
+from rig.studies.design.figure import write
 from rig.studies.design.request import parse_request
+from rig.studies.design.summary import summary
 from rig.studies.design.worst_peak import Peak
 from tests.rig.this_process import pieces_in_this_process, reduce_chart_and_check
 

@@ -26,19 +26,14 @@ from rig.core.scene.damper import Damper
 from rig.core.system.open_loop_drive import level_of, with_ideal_force
 from rig.core.system.structural_model import receptance
 from rig.studies.design.check import Expected
+from rig.studies.design.check_text import describe_check
 from rig.studies.design.choice import FINE_DENSITY, INSTANTANEOUS, Choice
 from rig.studies.design.design import chart_levels
 from rig.studies.design.evaluator import Evaluator
-from rig.studies.design.figure import (
-    _draw_responses,
-    clearance_label,
-    describe_check,
-    grain_check,
-    level_style,
-    summary,
-    write,
-)
+from rig.studies.design.figure import _draw_responses, clearance_label, level_style, write
+from rig.studies.design.grain_check import grain_check
 from rig.studies.design.request import mass_limit, parse_request
+from rig.studies.design.summary import summary
 from rig.studies.design.worst_peak import Peak, response_at_level
 from tests.rig.this_process import pieces_in_this_process, reduce_chart_and_check
 

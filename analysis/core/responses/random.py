@@ -30,15 +30,20 @@ def segment_fits(rec: Recording, marker: Marker, channels: Sequence[str]) -> Seg
     """Return the local fits to a random test, bursts included."""
     low, high = float(marker.fields["from"]), float(marker.fields["to"])
     stop = rec.samples if marker.last_sample is None else min(rec.samples, marker.stop)
-    bursts = None
-    if "block" in marker.fields:
-        block = int(marker.fields["block"])
-        bursts = block, int(np.ceil(float(marker.fields["burst"]) * block))
+    bursts = _bursts(marker)
     return SegmentFits(
         tuple(channels), marker.first_sample, stop, low, high,
-        settling_flaws(rec, channels, marker.first_sample, stop, low),
+        settling_flaws(rec, channels, marker.first_sample, stop, low, bursts),
         bursts=bursts, warnings=warn_of_dampers(rec),
     )  # fmt: skip
+
+
+def _bursts(marker: Marker) -> tuple[int, int] | None:
+    """Return distance and duration of the bursts of a test [samples]; None for continuous noise."""
+    if "block" not in marker.fields:
+        return None
+    block = int(marker.fields["block"])
+    return block, int(np.ceil(float(marker.fields["burst"]) * block))
 
 
 def averaged_spectra(
@@ -66,7 +71,7 @@ def averaged_spectra(
         step = max(1, round(block_samples * (1.0 - overlap)))
         weights = sampled_window(blocks.window or ESTIMATOR.window, max(block_samples, 1))
     low, high = float(marker.fields["from"]), float(marker.fields["to"])
-    unsettled = settling_flaws(rec, channels, first, stop, low)
+    unsettled = settling_flaws(rec, channels, first, stop, low, _bursts(marker))
     # The first block begins a whole number of steps later, when all channels have settled.
     first += -(-max((flaw.stop - first for flaw in unsettled), default=0) // step) * step  # rounded up
     count = (stop - first - block_samples) // step + 1

@@ -38,6 +38,19 @@ def test_no_samples_are_excluded_without_bias():
         assert settling_flaws(recording(0.0, 1.0, seed), ["a"], 0, int(DURATION * RATE), LOWEST_FREQUENCY) == []
 
 
+@pytest.mark.parametrize("count", [1, 2])
+@pytest.mark.parametrize("bias", [0.0, 300.0])
+def test_pauses_between_bursts_are_no_reference(count, bias):
+    rec = recording(bias, 2.0)
+    distance = int(DURATION * RATE) // count
+    bursts, read = (distance, distance // 2), rec.read
+    in_burst = np.arange(int(DURATION * RATE)) % distance < bursts[1]
+    rec.read = lambda name, first, last: read(name, first, last) * np.where(in_burst[first:last], 1.0, 1e-6)
+    flaws = settling_flaws(rec, ["a"], 0, int(DURATION * RATE), LOWEST_FREQUENCY, bursts)
+    assert [flaw.first for flaw in flaws] == [0] * (bias > 0.0)
+    assert all(0.1 < bias * np.exp(-flaw.stop / RATE / 2.0) < 1.2 for flaw in flaws)
+
+
 def test_lost_samples_have_no_decaying_bias():
     rec = recording(0.0, 1.0)
     rec.read = lambda name, start, stop: np.full(stop - start, np.nan)

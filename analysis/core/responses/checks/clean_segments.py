@@ -109,18 +109,27 @@ def remedy(rec: Recording, all_flaws: Sequence[Flaw]) -> str:
     return text[0].upper() + text[1:]
 
 
-def settling_flaws(rec: Recording, names: Sequence[str], first: int, stop: int, lowest: float) -> list[Flaw]:
+def settling_flaws(
+    rec: Recording, names: Sequence[str], first: int, stop: int, lowest: float, bursts: tuple[int, int] | None = None
+) -> list[Flaw]:
     """Return a flaw at the beginning of a test for each channel whose bias is not constant there.
 
     `lowest`: lowest excited frequency [Hz]. Over a period of this frequency, the mean of the motion is zero. A mean
     that differs from later means is therefore an error of the sensor, and in a force channel an apparent force.
+    `bursts`: distance and duration of the bursts [samples]; the means of the pauses have almost no scatter.
     """
     stop = min([stop, *(failed for name, failed in failed_channels(rec).items() if name in names)])
     block_samples = int(np.ceil(rec.rate / lowest))
-    n_blocks = (stop - first) // block_samples
+    distance, duration = bursts or (stop - first, stop - first)
+    starts = range(0, stop - first - block_samples + 1, block_samples)
+    blocks = [
+        (first + start, first + start + block_samples)
+        for start in starts
+        if start % distance + block_samples <= duration
+    ]
+    n_blocks = len(blocks)
     if n_blocks < _MIN_BLOCKS:
         return []
-    blocks = [(first + k * block_samples, first + (k + 1) * block_samples) for k in range(n_blocks)]
     late_blocks = np.unique(np.linspace(n_blocks // 2, n_blocks - 1, _SETTLED_BLOCKS).astype(int))
     means = [_means(block) for block in read_slices(rec, names, [blocks[k] for k in late_blocks])]
     # A channel without any valid sample has no mean; the masked array avoids numpy's warning.
@@ -136,7 +145,7 @@ def settling_flaws(rec: Recording, names: Sequence[str], first: int, stop: int, 
         if is_settled.all():
             break
     return [
-        Flaw(first, first + int(n_drifting) * block_samples, name, SETTLING)
+        Flaw(first, blocks[int(n_drifting) - 1][1], name, SETTLING)
         for name, n_drifting in zip(names, n_drift_blocks, strict=True)
         if n_drifting
     ]

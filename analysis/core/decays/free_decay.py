@@ -31,11 +31,19 @@ from rig.core.results.table import Table
 from rig.core.scene.scene import STANDARD_GRAVITY
 from rig.core.system.structural_model import structural_model
 
-# Lower limit of the frequency range [Hz] that is searched for modes: drift of sensors dominates below.
-LOWEST_MODE_HZ = 2.0
+# Lower limit of the frequency range [Hz] that is searched for modes: drift of sensors dominates below. It is lowered if
+# the structure of the scene has lower modes, or the highest peak of an imported decay is lower.
+_LOWEST_MODE_HZ = 2.0
 # Upper limit of the frequency range that is searched for modes [Hz], raised if the structure of the scene has higher
 # modes; higher modes decay at once.
-HIGHEST_MODE_HZ = 200.0
+_HIGHEST_MODE_HZ = 200.0
+# The range ends at least two octaves above the highest mode of the scene: dampers and bodies that the scene omits shift
+# modes upward, and the median of a wider band is farther below the peaks.
+_UPPER_RATIO = 4.0
+# The range begins at least an octave below the lowest mode.
+_LOWER_RATIO = 0.5
+# A peak below this number of periods in the decay may be drift.
+_MIN_PERIODS = 5.0
 # Minimum number of samples of a decay from which a natural frequency and a slope can be estimated.
 _MIN_SAMPLES = 256
 # If the energy no longer decays in the last tenth of a record, this tenth counts as noise, provided that it contains at
@@ -212,13 +220,22 @@ def decay(rec: Recording, channel: str | None = None, impact: int = 1, modes: in
         warnings.append(f"Impact {impact} was {fault}. Choose another impact, or record again.")
     # The structure in the scene of an imported recording may be a placeholder.
     max_modes = modes if modes is not None or rec.source else rec.scene.structure.bodies
-    # The search range ends at least an octave above the highest mode of the scene.
-    highest_mode = max(HIGHEST_MODE_HZ, 2.0 * float(structural_model(rec.scene).modes.frequency.max()))
-    lowest_mode = max(LOWEST_MODE_HZ, rec.rate / (decay_stop - decay_start))
+    natural = structural_model(rec.scene).modes.frequency
+    highest_mode = max(_HIGHEST_MODE_HZ, _UPPER_RATIO * float(natural.max()))
     upper_limit = min(0.4 * rec.rate, 4.0 * highest_mode)
-    acceleration = correct_motion(info, samples, "acceleration", lowest_mode, upper_limit)
-    acceleration, begin = acceleration[: decay_stop - read_start], decay_start - read_start
-    highest_mode = min(highest_mode, upper_limit)
+    highest_mode, begin = min(highest_mode, upper_limit), decay_start - read_start
+
+    def accelerations(lowest: float) -> Array:
+        return correct_motion(info, samples, "acceleration", lowest, upper_limit)[: decay_stop - read_start]
+
+    duration = (decay_stop - decay_start) / rec.rate
+    lowest_mode = min(_LOWEST_MODE_HZ, _LOWER_RATIO * float(natural.min()))
+    if rec.source:
+        low = _MIN_PERIODS / duration
+        highest_peak = spectral_peaks(accelerations(low)[begin:], rec.rate, 1, low, highest_mode)
+        lowest_mode = min([lowest_mode, *(_LOWER_RATIO * highest_peak)])
+    lowest_mode = max(lowest_mode, 1.0 / duration)
+    acceleration = accelerations(lowest_mode)
     # After its last change a reading contains no motion, and the filters' responses would be taken for a decay.
     last_change = int(np.flatnonzero(np.diff(samples))[-1]) + 1
     recorded = acceleration[: max(last_change + 1, begin + _MIN_SAMPLES)]

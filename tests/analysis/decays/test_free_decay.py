@@ -397,6 +397,36 @@ def test_high_mode_in_short_record_is_resolved(tmp_path):
     assert decay.halving == pytest.approx(np.log(2.0) / (2 * np.pi * 900.0 * MODAL_DAMPING), rel=0.02)
 
 
+def test_low_mode_of_a_structure_is_resolved(tmp_path):
+    scene = rig.loads(STIFF_BODY.format(stiffness=(2 * np.pi * 0.7) ** 2, duration=40))
+    (mode,) = analysis.decay(daq.record(scene, tmp_path / "a.mcap")).modes
+    assert abs(mode.frequency - 0.7) < 1e-3
+    np.testing.assert_allclose(mode.damping, MODAL_DAMPING, rtol=0.01)
+
+
+@pytest.mark.parametrize("stiffness", [5.0, 400.0])
+def test_imported_decay_below_2_hz_is_found(tmp_path, stiffness):
+    rate, natural, ratio = 50.0, np.array([0.8, 3.3]), 0.01
+    time = np.arange(2900)[:, None] / rate
+    tower = np.exp(-2 * np.pi * ratio * natural * time) * np.sin(2 * np.pi * natural * time) * [1.0, 0.3]
+    samples = tower.sum(axis=1) + 1e-3 * np.random.default_rng(1).standard_normal(time.size)
+    np.savez(tmp_path / "tower.npz", fs=rate, top=samples)
+    scene = rig.loads(
+        f"""
+        structure: {{masses: [1 kg], springs: [{stiffness} N/m]}}
+        shaker: {{kind: force, body: 1}}
+        test: {{kind: free, mode: 1, amplitude: 1 mm}}
+        channels: [{{name: top, at: body 1}}]
+        """
+    )
+    path = daq.import_files(
+        [tmp_path / "tower.npz"], scene, tmp_path / "a.mcap", table={"top": {"column": "top", "unit": "m/s^2"}}
+    )
+    modes = analysis.decay(path).modes
+    np.testing.assert_allclose([mode.frequency for mode in modes], natural, rtol=1e-3)
+    assert all(abs(mode.damping[0] - ratio) < 2.0 * mode.damping_std[0] for mode in modes)
+
+
 def test_short_decay_has_no_time_of_6_db(tmp_path):
     scene = rig.loads(STIFF_BODY.format(stiffness=4000, duration=10).replace("0.5 %", "0.05 %"))
     decay = analysis.decay(daq.record(scene, tmp_path / "a.mcap"))

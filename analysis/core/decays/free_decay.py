@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import scipy
+from numpy.typing import NDArray
 
 from analysis.core.decays.band_pass import band_width
 from analysis.core.decays.modal_decay import SAME_MODE_RATIO, ModalDecay, modal_decay, spectral_peaks
@@ -286,12 +287,11 @@ def _modal_decays(
     """
     # A damper gives one mode several poles, like close modes of a linear structure.
     linear_modes = structural_model(rec.scene).modes.frequency
-    near = np.sum(abs(linear_modes / peaks[:, None] - 1.0) < SAME_MODE_RATIO, axis=1)
-    is_single = (near < 2) & (not rec.scene.is_linear) & (not rec.source)
+    is_single = (_count_near(peaks, linear_modes) < 2) & (not rec.scene.is_linear) & (not rec.source)
     frequencies, overlaps = resolve_close_modes(acceleration, rec.rate, peaks, begin, is_single)
     counts = count_of_motion(info, frequencies, "acceleration")
     clock = clock_deviation(rec)
-    decays = tuple(
+    decays = [
         modal_decay(
             acceleration,
             rec.rate,
@@ -303,9 +303,14 @@ def _modal_decays(
             count=float(counts[index]),
         )
         for index, frequency in enumerate(frequencies)
-    )
+    ]
+    # The damping of a mixture of linear modes changes with the amplitude.
+    existing, found = (_count_near(frequencies, modes) for modes in (linear_modes, frequencies))
+    is_mixed = (existing > found) & (rec.scene.is_linear and not rec.source)
+    is_mixed &= np.array([not each.is_linear for each in decays], dtype=bool)
+    decays = [each.undetermined() if mixed else each for each, mixed in zip(decays, is_mixed, strict=True)]
     undetermined = [index for index, each in enumerate(decays) if not each.damping.size]
-    close = [index for index in undetermined if overlaps[index].is_close]
+    close = [index for index in undetermined if is_mixed[index] or overlaps[index].is_close]
     few_counts = [
         index
         for index in undetermined
@@ -323,7 +328,12 @@ def _modal_decays(
             f"{info.name} are below {_MIN_COUNTS:.0f} counts of the converter. Use a more sensitive sensor, or a "
             "smaller range."
         )
-    return decays, warnings
+    return tuple(decays), warnings
+
+
+def _count_near(frequencies: Array, modes: Array) -> NDArray[np.int64]:
+    """Return the number of modes near each frequency."""
+    return np.sum(abs(modes / frequencies[:, None] - 1.0) < SAME_MODE_RATIO, axis=1)
 
 
 def _listed(frequencies: Array) -> str:

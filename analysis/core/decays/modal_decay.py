@@ -1,7 +1,7 @@
 """Envelope of one mode of a free decay, and its damping ratio and natural frequency as functions of amplitude."""
 
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, Self
 
 import numpy as np
 import scipy
@@ -39,6 +39,9 @@ _AFFECTED_AMPLITUDES = 2
 # Maximum number of envelope points in the fit of one damping ratio: more do not reduce its uncertainty, because
 # neighbors are correlated.
 _MAX_POINTS = 64
+# Largest change of the damping ratio of a linear mode between two amplitudes, in standard uncertainties: the largest of
+# some twenty amplitudes.
+_MAX_LINEAR_CHANGE = 3.0
 
 
 @dataclass(frozen=True, repr=False)
@@ -70,6 +73,21 @@ class ModalDecay(Result):
     damping_smear = renamed("damping_smear", "damping_bias_limit")
     natural = renamed("natural", "natural_frequency")
     natural_error = renamed("natural_error", "natural_frequency_std")
+
+    @property
+    def is_linear(self) -> bool:
+        """Whether the damping ratio is equal at all amplitudes, within its uncertainties."""
+        difference = self.damping[:, None] - self.damping
+        std = np.hypot(self.damping_std[:, None], self.damping_std)
+        return bool(np.all(abs(difference) <= _MAX_LINEAR_CHANGE * std))
+
+    def undetermined(self) -> Self:
+        """Return the decay without the amplitudes, whose damping ratios are not those of the mode."""
+        none = np.empty(0)
+        return replace(
+            self, frequency=self.center, frequency_std=float("nan"), amplitude=none, damping=none, damping_std=none,
+            damping_bias_limit=none, natural_frequency=none, natural_frequency_std=none,
+        )  # fmt: skip
 
     def summary(self) -> str:
         """Return the natural frequency, and the damping ratio at the largest and at small amplitudes."""

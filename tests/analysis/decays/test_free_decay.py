@@ -20,6 +20,7 @@ from daq.core.signal_chain.channel import ChannelInfo
 from rig.core.base.errors import RecordingError, RunWarning, SceneError
 from rig.core.system.structural_model import structural_model
 from tests.analysis.responses import synthetic
+from tests.gauntlet.linear_decays import draw_linear_decay
 
 MODAL_DAMPING = 0.005  # damping ratio of each mode of the synthetic structure and of `STIFF_BODY`
 STIFF_BODY = """
@@ -395,6 +396,13 @@ def test_high_mode_in_short_record_is_resolved(tmp_path):
     assert abs(mode.frequency - 900.0) < 0.1
     np.testing.assert_allclose(mode.damping, MODAL_DAMPING, rtol=0.01)
     assert decay.halving == pytest.approx(np.log(2.0) / (2 * np.pi * 900.0 * MODAL_DAMPING), rel=0.02)
+
+
+@pytest.mark.parametrize(("number", "channel"), [(24, "a2"), (44, "a2"), (48, "a1")])
+def test_mixture_of_linear_modes_is_undetermined(tmp_path, number, channel):
+    scene = draw_linear_decay(15, number, "decay_linear")
+    decay = analysis.decay(daq.record(scene, tmp_path / "a.mcap"), channel=channel)
+    assert [mode.damping.size for mode in decay.modes] == [0] and "cannot be separated" in " ".join(decay.warnings)
 
 
 def test_low_mode_of_a_structure_is_resolved(tmp_path):

@@ -109,9 +109,9 @@ def _tables(design: Design) -> list[str]:
     lines.append(_accuracy_of_reductions(design))
     lines += ["", f"{'':14}  largest peak in {response_unit}", f"{'mode, Hz':>14}{'without':>10}{levels}"]
     for mode in design.modes:
-        peaks = "".join(f"{scale * peak.magnitude:9.4g}" for peak in mode.damped)
+        peaks = "".join(f" {scale * peak.magnitude:8.4g}" for peak in mode.damped)
         remark = "" if mode.in_band else "  outside the band"
-        lines.append(f"{format_decimals(mode.frequency, 2):>14}{scale * mode.undamped.magnitude:10.4g}{peaks}{remark}")
+        lines.append(f"{format_decimals(mode.frequency, 2):>14} {scale * mode.undamped.magnitude:9.4g}{peaks}{remark}")
     return lines
 
 

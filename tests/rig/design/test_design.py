@@ -105,6 +105,20 @@ def test_written_scene_loads_and_summary_matches(design: rig.Design, tmp_path: P
 
 
 @pytest.mark.thorough
+def test_large_peaks_have_separate_columns(design: rig.Design) -> None:
+    modes = [
+        replace(
+            mode,
+            undamped=replace(mode.undamped, magnitude=0.51234),
+            damped=tuple(replace(peak, magnitude=0.41234) for peak in mode.damped),
+        )
+        for mode in design.modes
+    ]
+    lines = summary(replace(design, modes=tuple(modes))).splitlines()
+    [row] = [line for line in lines if line.lstrip().startswith(f"{modes[0].frequency:.2f}")]
+    assert row.split()[1:3] == ["5.123e+05", "4.123e+05"]
+
+
 def test_lower_expected_peak_is_explained(design: rig.Design, tmp_path: Path) -> None:
     expected = tuple(replace(expectation, magnitudes=(1e-6, 1.1e-6, 1.2e-6)) for expectation in design.expected)
     explanation = "several steady-state motions may exist"

@@ -92,8 +92,8 @@ class Page:
         self._rig, self._shown_svg = RigDrawing(self._scene), ""
         self._refreshes = 0
         self._shown_version: Any = None
-        # Duration of the shown time histories [s]: some periods of a structure of 10 to 50 Hz.
-        self.span = 0.2
+        # Duration of the shown time histories [s]: the decay after an impact, or some periods at 10 to 50 Hz.
+        self.span = 5.0 if self._controller.has_hammer else 0.2
         self.obeyed = 0  # number of commands of the browser that were carried out
 
     def description(self) -> bytes:

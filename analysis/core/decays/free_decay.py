@@ -50,6 +50,10 @@ _MIN_SAMPLES = 256
 # If the energy no longer decays in the last tenth of a record, this tenth counts as noise, provided that it contains at
 # most this fraction of the energy. Otherwise the motion is not a free decay.
 _MAX_FINAL_ENERGY_FRACTION = 0.02
+# An imported recording of a free decay may begin before the motion: the readings are below this part of their maximum
+# for more than this number of periods of the lowest mode.
+_MOVING_RATIO = 0.1
+_MAX_LATE_PERIODS = 1.0
 #: Why times of a decay have no interval.
 NO_INTERVAL = "times without interval, because one impact has no scatter"
 #: Energy levels between which the slope of the initial decay is fitted [dB].
@@ -255,6 +259,13 @@ def decay(rec: Recording, channel: str | None = None, impact: int = 1, modes: in
     # Unlike an analytic signal's magnitude, this envelope neither oscillates in beats nor overshoots at the impact.
     longest_period = rec.rate / min((mode.frequency for mode in decays), default=rec.rate / (free_decay.size - 1))
     envelope = upper_bound(acceleration[begin:], longest_period)[: free_decay.size]
+    readings = abs(samples[begin:] - np.median(samples[begin:]))
+    late = int(np.argmax(readings > _MOVING_RATIO * readings.max()))
+    if rec.source and late > _MAX_LATE_PERIODS * longest_period:
+        warnings.append(
+            f"{info.name} is nearly at rest for the first {late / rec.rate:.3g} s of the decay, which falsifies its "
+            "damping. Import the recording from there on."
+        )
     peak_indices, _ = scipy.signal.find_peaks(abs(free_decay), distance=max(period, 1))
     energy = _energy_decay(free_decay)
     if energy.min() > INITIAL_DECAY_DB[1]:

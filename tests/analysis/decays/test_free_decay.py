@@ -412,27 +412,33 @@ def test_low_mode_of_a_structure_is_resolved(tmp_path):
     np.testing.assert_allclose(mode.damping, MODAL_DAMPING, rtol=0.01)
 
 
-@pytest.mark.parametrize("stiffness", [5.0, 400.0])
-def test_imported_decay_below_2_hz_is_found(tmp_path, stiffness):
-    rate, natural, ratio = 50.0, np.array([0.8, 3.3]), 0.01
+def imported_tower(folder, stiffness, quiet_samples=0):
+    """Import a decay of 0.8 and 3.3 Hz with damping ratios of 1 %, after samples without motion."""
+    rate, natural = 50.0, np.array([0.8, 3.3])
     time = np.arange(2900)[:, None] / rate
-    tower = np.exp(-2 * np.pi * ratio * natural * time) * np.sin(2 * np.pi * natural * time) * [1.0, 0.3]
-    samples = tower.sum(axis=1) + 1e-3 * np.random.default_rng(1).standard_normal(time.size)
-    np.savez(tmp_path / "tower.npz", fs=rate, top=samples)
-    scene = rig.loads(
-        f"""
+    tower = np.exp(-2 * np.pi * 0.01 * natural * time) * np.sin(2 * np.pi * natural * time) * [1.0, 0.3]
+    samples = np.append(np.zeros(quiet_samples), tower.sum(axis=1))
+    np.savez(folder / "a.npz", fs=rate, top=samples + 1e-3 * np.random.default_rng(1).standard_normal(samples.size))
+    scene = f"""
         structure: {{masses: [1 kg], springs: [{stiffness} N/m]}}
         shaker: {{kind: force, body: 1}}
         test: {{kind: free, mode: 1, amplitude: 1 mm}}
         channels: [{{name: top, at: body 1}}]
         """
-    )
-    path = daq.import_files(
-        [tmp_path / "tower.npz"], scene, tmp_path / "a.mcap", table={"top": {"column": "top", "unit": "m/s^2"}}
-    )
-    modes = analysis.decay(path).modes
-    np.testing.assert_allclose([mode.frequency for mode in modes], natural, rtol=1e-3)
-    assert all(abs(mode.damping[0] - ratio) < 2.0 * mode.damping_std[0] for mode in modes)
+    table = {"top": {"column": "top", "unit": "m/s^2"}}
+    return daq.import_files([folder / "a.npz"], rig.loads(scene), folder / "a.mcap", table=table)
+
+
+@pytest.mark.parametrize("stiffness", [5.0, 400.0])
+def test_imported_decay_below_2_hz_is_found(tmp_path, stiffness):
+    modes = analysis.decay(imported_tower(tmp_path, stiffness)).modes
+    np.testing.assert_allclose([mode.frequency for mode in modes], [0.8, 3.3], rtol=1e-3)
+    assert all(abs(mode.damping[0] - 0.01) < 2.0 * mode.damping_std[0] for mode in modes)
+
+
+def test_rest_before_an_imported_decay_is_named(tmp_path):
+    decay = analysis.decay(imported_tower(tmp_path, 25.0, quiet_samples=100))
+    assert "top is nearly at rest for the first 2 s" in decay.warnings[-1]
 
 
 def test_short_decay_has_no_time_of_6_db(tmp_path):

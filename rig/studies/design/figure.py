@@ -45,14 +45,16 @@ def _draw(design: Design) -> Figure:
         _draw_chart(chart, design)
         _draw_reductions(reductions, design)
         _draw_responses(responses, design)
-        levels = ", ".join(map(format_number, design.question.levels))
+        levels = f"{', '.join(map(format_number, design.question.levels))} {design.question.level.unit}"
+        if len(design.question.levels) > 1:
+            levels += f" (with dampers at {format_number(design.best.peak.level)} {design.question.level.unit})"
         is_all = design.best.choice.mass > (1.0 - LIMIT_TOLERANCE) * design.space.max_mass
         add_page_title(
             figure,
             f"Design (computed): {headline(design)}",
             # The part of the name after a comma may describe the dampers that the design replaces.
-            f"{design.scene.name.partition(',')[0]}; largest peak at {levels} {design.question.level.unit} without and "
-            f"with dampers; shot as one mass{'; mass at the budget' * is_all}",
+            f"{design.scene.name.partition(',')[0]}; largest peak without and with dampers at {levels}; "
+            f"shot as one mass{'; mass at the budget' * is_all}",
         )
         return figure
 
@@ -95,13 +97,14 @@ def _draw_reductions(axes: Axes, design: Design) -> None:
     chosen = int(np.argmin(np.abs(np.log(design.clearance_factors))))
     plotted_rows = (chosen - 1, chosen, chosen + 1)
     bare_acceleration = design.levels / design.bare.level * design.bare.acceleration
-    for row_number, color, marker in zip(plotted_rows, ("#999999", BASELINE, "#bbbbbb"), "v^o", strict=True):
+    styles = ("#777777", "v", ":"), (BASELINE, "^", "-"), ("#777777", "o", "--")
+    for row_number, (color, marker, line) in zip(plotted_rows, styles, strict=True):
         row = design.chart[row_number]
         choice = design.charted
         clearance = 1e3 * design.clearance_factors[row_number] * choice.clearances[choice.heaviest_index]
         axes.plot(
-            bare_acceleration, [design.reduction(peak) for peak in row], f"{marker}-", ms=4,
-            color=color, lw=1.6 if row_number == chosen else 0.8, label=f"clearance {clearance:.3g} mm",
+            bare_acceleration, [design.reduction(peak) for peak in row], f"{marker}{line}", ms=4,
+            color=color, lw=1.6 if row_number == chosen else 1.0, label=f"clearance {clearance:.3g} mm",
         )  # fmt: skip
     axes.set(xlabel="acceleration at the peak without dampers / (m/s²)", ylabel="reduction of the largest peak / dB")
     set_log_scale(axes.xaxis)

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 # Limit of numeric options in any unit; a larger number is a typing error.
 MAX_OPTION_VALUE = 1e12
-# Parameters that messages of functions name, and the options that set them, where the names differ.
+# Options whose names differ from those of the Python parameters in messages.
 _OPTIONS_OF_PARAMETERS = {"certificates": "--certificate", "uncertain": "--damping-off", "path": "--output"}
 # Form in which messages of functions name parameters.
 _PARAMETER = re.compile(r"`([a-z_]+)`")

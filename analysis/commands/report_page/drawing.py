@@ -142,7 +142,7 @@ def _shaker(shaker: Shaker, y: float, number: int | None) -> Iterator[str]:
 
 
 def _push(y: float, color: str) -> str:
-    """Draw a force in the direction of motion, at a line from the body to the left."""
+    """Draw a force in the direction of motion, at the end of an arm from the body to the left."""
     arrow = f'<path stroke="{color}" stroke-width="2" d="M{_SHAKER_X} {y + 40:g}V{y + 3:g}m-6 9l6 -9l6 9"/>'
     return f'<path stroke="currentColor" d="M{_SHAKER_X - 14} {y:g}H{_LEFT}"/>{arrow}'
 

@@ -304,7 +304,7 @@ def resonance_peaks(frf: Response) -> list[tuple[Resonance, Peak]]:
 
 
 def may_be_higher(resonance: Resonance, found: Peak) -> bool:
-    """Return whether a peak may be higher than measured: the points do not determine its height, or not resolve it."""
+    """Return whether a peak may be higher than measured: its height is undetermined, or its width not resolved."""
     return not (found.is_determined and resonance.is_resolved)
 
 

@@ -19,7 +19,7 @@ def rounding_noise(count: float, bandwidth: float) -> float:
 
 
 def damping_error(amplitude: Array, half_fall: float, noise: float, count: float, bandwidth: float) -> Array:
-    """Return the limit of the relative error of a damping ratio from a fall by twice `half_fall` nepers.
+    """Return the limit of the relative error of a damping ratio from a decay by 2 `half_fall` nepers.
 
     `amplitude`: amplitudes of the mode, m/s²; `noise`: rms of the analytic signal in the band, m/s². Without noise, the
     amplitude of a rounded sine is wrong by a factor that depends on the amplitude.

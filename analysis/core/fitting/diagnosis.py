@@ -482,7 +482,7 @@ def _start(uncorrected: _Refit, curves: list[Curves]) -> _Refit:
 
 
 def _solve_from_both(uncorrected: _Refit, curves: list[Curves]) -> _Refit:
-    """Return the better fit of those from the modes of curves and from the uncorrected fit."""
+    """Fit curves from two starts, their modes and the result of the uncorrected fit; return the better fit."""
     # The uncorrected fit may have the smaller initial cost and yet lead to a local minimum.
     restarted = uncorrected.with_curves(curves)
     fits = (start.solved() for start in (_start_from_modes(restarted.problem), restarted))

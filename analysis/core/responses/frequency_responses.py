@@ -28,7 +28,7 @@ from rig.core.results.response import MOTIONS
 from rig.core.results.response import Response as Response
 from rig.core.settings.quantities import FORCE, number
 
-#: Part of the warning of a recording without a filter.
+#: Beginning of the warning about a recording without a filter, by which other modules recognize it.
 EXCLUDED_ALIASING = "The uncertainty excludes aliasing"
 
 
@@ -184,7 +184,7 @@ def compliance(
     level: float | str | None = None,
     direction: str | None = None,
 ) -> Response:
-    """Short form of `analysis.frf` for one channel of one sweep: return its curve, per force or motion of the table.
+    """Short form of `analysis.frf` for one channel of one sweep: return its compliance or transmissibility.
 
     Parameters
     ----------

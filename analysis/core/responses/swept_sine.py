@@ -187,7 +187,7 @@ class _Line(NamedTuple):
 
 
 def _line(block: Array, frequency: float, rate: float, direction: int) -> _Line:
-    """Compute the spectra around a line, shape of `block`: (channels, samples); `direction`: 1 if the sweep rises."""
+    """Compute the spectra around a line; `block`: (channels, samples), `direction`: 1 if the sweep rises."""
     n_samples = block.shape[1]
     center = max(int(frequency * n_samples / rate), FIT_HALF_WIDTH + 1)
     bins = center + _BIN_OFFSETS

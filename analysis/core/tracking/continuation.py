@@ -112,7 +112,9 @@ class AmplitudeCurve(Result):
         return omissions
 
     def resolution(self, level: float) -> float:
-        """Return the smallest distance of two folds that steps and noise resolve above half of the maximum [Hz].
+        """Return the smallest distance of two folds that can be told apart [Hz].
+
+        This is the largest step or interval between points with more than half of the largest amplitude.
 
         It is infinite if no point of the level is in steady state.
         """

@@ -205,7 +205,9 @@ def force_surface(rec: Recording) -> ForceSurface:
     """
     test = rec.scene.test
     if test is None or test.held_motion is None:
-        raise RecordingError(f"{rec.path}: no motion was held. Record a test of kind constant_response.")
+        raise RecordingError(
+            f"{rec.path}: the test held no amplitude of a motion constant. Record a test of kind constant_response."
+        )
     location = test.held_motion[0]
     parts = []
     for response in frequency_responses(rec):

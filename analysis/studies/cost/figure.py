@@ -42,7 +42,7 @@ def table(study: ChainStudy) -> str:
             "",
             "CPU ms per s: CPU time to record and analyze a second of test. Error: relative error of the compliance",
             "after correction with the data sheets. Uncorrected error: of the displacement, without this correction.",
-            "Parts are changed without noise, quantization, sensor tolerances and bias, which no data sheet corrects.",
+            "Parts are changed without noise, quantization, tolerances and bias, because no data sheet corrects these.",
             f"Reference: {study.reference}.",
         ]
     )

@@ -37,8 +37,8 @@ def region_of_c2(parts: Parts) -> Figure:
 def holds_c2(parts: Parts) -> np.ndarray:
     """Return the cells of the scan in which all statements of claim C2 are true.
 
-    The peak ratio is 2.5 to 4. One damper shows Type III. Three dampers show Types I and II, and at the peak only these
-    types or rest.
+    The peak ratio is 2.5 to 4. One damper shows motion of Type III. Three dampers show Types I and II, and at the peak
+    only these types, or rest on the floor.
     """
     single, three = parts["scan-single"], parts["scan-three"]
     ratio = single["peak"] / three["peak"]

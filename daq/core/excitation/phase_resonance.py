@@ -23,10 +23,10 @@ from rig.core.scene.scene import Scene
 
 # Number of successive windows within the tolerance that lock the phase; the frequency is averaged over them.
 _LOCKED_WINDOWS = 8
-# Largest mean deviation of a locked phase, relative to the tolerance, which its own scatter must not reach.
+# Largest mean deviation of a locked phase, relative to the tolerance; the rest of the tolerance is for its scatter.
 _LOCKED_RATIO = 0.7
-# The phase of an unsteady motion deviates by at most this multiple of the tolerance from that of a resonance; in a band
-# without a resonance it deviates by more.
+# Without a lock, the motion is assumed to be unsteady if the phase is within this multiple of the tolerance; if it is
+# farther away, the band is assumed to contain no resonance.
 _MAX_SCATTER_RATIO = 5.0
 # Maximum number of locks at a level: the phase can leave the tolerance again while the frequency is constant.
 _MAX_LOCKS = 4

@@ -46,8 +46,8 @@ _ATTACHMENT_HEAD = struct.Struct("<QQI")
 # Field before the data of an attachment: their size.
 _DATA_SIZE = struct.Struct("<Q")
 _CHECKSUM_BYTES = 4
-# Maximum size of verified records without a following record [bytes], in addition to `_MAX_UNCONFIRMED_RATIO` of the
-# file.
+# Maximum total size of the records whose checksum is computed although no valid record follows [bytes], in addition to
+# `_MAX_UNCONFIRMED_RATIO` of the file. It limits the time of a search.
 _MAX_UNCONFIRMED_BYTES = 1 << 26
 # Multiple of the size of the file in the same maximum.
 _MAX_UNCONFIRMED_RATIO = 8
@@ -140,7 +140,7 @@ class DamagedFile:
         return None, None
 
     def _spend_unconfirmed(self, length: int) -> bool:
-        """Subtract a record without valid successor from the bytes that may be unconfirmed; return if any are left."""
+        """Count a record that no valid record follows; return whether the total is still within the limit."""
         self._unconfirmed_bytes_left -= length
         return self._unconfirmed_bytes_left >= 0
 

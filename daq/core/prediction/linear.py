@@ -18,7 +18,7 @@ from rig.core.system.assembly import assemble, force_row
 from rig.core.system.hybrid_system import HybridSystem
 from rig.core.system.open_loop_drive import drive_per_level, riding_response
 
-# Number of frequencies over the band of a test without tones: two per half-power width (0.5 % damping) in a decade.
+# Number of frequencies over the band of a test without tones: 1.7 per half-power width (0.5 % damping) in a decade.
 _N_FREQUENCIES = 400
 
 
@@ -90,8 +90,8 @@ class LowestSignalToNoise:
 def lowest_signal_to_noise(scene: Scene, channels: tuple[ChannelInfo, ...]) -> dict[str, LowestSignalToNoise]:
     """Return the lowest signal-to-noise ratio of each channel with noise, by name, from the linear response.
 
-    The noise is that of a measured tone or spectral line: sqrt(2 S / T) for a noise density S and a lock-in measurement
-    over the time T. The ratio is not defined for impacts and free decays.
+    The noise of a measured tone or spectral line has the standard deviation d sqrt(2 / T), for a noise density d per
+    sqrt(Hz) and a lock-in measurement over the time T. The ratio is not defined for impacts and free decays.
     """
     test, frequencies = scene.test, test_frequencies(scene.test)
     settings = {channel.name: channel for channel in scene.channels or ()}

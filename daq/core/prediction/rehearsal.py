@@ -170,7 +170,7 @@ class Rehearsal(BenchLoop):
         return None if self._excluded_dwells else error
 
     def on_block(self, block: Block, readings: Array) -> None:
-        """Update the extremes of channels, bodies and tables, and the events of dampers and joints."""
+        """Update the extremes of channels, bodies and shaker tables, and the events of dampers and joints."""
         self.last_blocks.append(block)
         self._stored_samples += block.samples.shape[1]
         while self._stored_samples - self.last_blocks[0].samples.shape[1] > _STORED_END_S * self.rate:

@@ -21,7 +21,8 @@ from rig.core.base.arrays import Array
 MOMENTS = 8
 # Edge of the passband as a ratio to the sample rate, as in data sheets of delta-sigma converters.
 PASSBAND_EDGE = 0.4535
-# Edge of the stopband as a ratio to the sample rate: frequencies above it fold to the passband's edge or above.
+# Edge of the stopband as a ratio to the sample rate: frequencies from half the sample rate to this edge fold to the
+# edge of the passband or above.
 STOPBAND_EDGE = 0.5465
 # Delay of the filter, half its length. With a Kaiser window of this length, the stopband is below -100 dB.
 DELAY_SAMPLES = 38

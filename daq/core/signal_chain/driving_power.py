@@ -16,8 +16,8 @@ from rig.core.base.arrays import Array
 # count only in the total power.
 _MIN_REAL_RATIO = 0.3
 # The structure returns power if the sum of the real parts is negative, and its magnitude is at least this fraction of
-# the sum of their magnitudes. At 0.8, 90 % of this sum is negative and 10 % positive. The fraction is below 1 because
-# phase errors can reverse the sign far from resonances.
+# the sum of their magnitudes: at 0.8 (0.9 - 0.1), at least 90 % of the sum of magnitudes is negative. The fraction is
+# below 1 because phase errors can reverse the sign far from resonances.
 _MIN_NEGATIVE_SUM = 0.8
 # The sign is evaluated only if the lines with a clear sign have at least this fraction of the total power. In a narrow
 # band around an antiresonance, their fraction is smaller.

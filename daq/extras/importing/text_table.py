@@ -201,7 +201,7 @@ def _labview_signals(path: Path, heading: LabviewHeading, stop: int | None, enco
 
 
 class _InvalidLine(RecordingError):
-    """Error of a line; `fault` is the message without the remedy, for a last line that is omitted."""
+    """An invalid line; `fault`: the message without the remedy, for the warning if the last line is omitted."""
 
     def __init__(self, fault: str, remedy: str) -> None:
         super().__init__(f"{fault}. {remedy}")

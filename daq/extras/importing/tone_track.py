@@ -59,7 +59,7 @@ class ToneTracker:
     """Computes the track of blocks of one length, for tones from `low` to `low` times `LENGTH_RATIO` [Hz].
 
     A block contains four to six periods of these tones. Its samples are averaged in small groups. `rate` is in Hz;
-    `reference` is the row of the reference among `channels`.
+    `channels` is the number of channels, `reference` the index of the reference channel.
     """
 
     def __init__(self, rate: float, low: float, channels: int, reference: int) -> None:

@@ -166,14 +166,14 @@ class ManualClock(Clock):
     """Time passes on request.
 
     >>> clock = ManualClock()
-    >>> clock.advance(0.25)  # moves every bench that runs on this clock by a quarter of a second
+    >>> clock.advance(0.25)  # advances every bench on this clock by a quarter of a second
     """
 
     def __init__(self) -> None:
         self._benches: weakref.WeakSet[Timeline] = weakref.WeakSet()
 
     def start(self, bench: Timeline) -> None:
-        """Add a bench that `advance` moves."""
+        """Register a bench, whose time `advance` then advances."""
         self._benches.add(bench)
 
     def advance(self, seconds: float) -> None:

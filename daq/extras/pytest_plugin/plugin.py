@@ -64,7 +64,7 @@ def pytest_fixture_setup(fixturedef: pytest.FixtureDef[Any]) -> Generator[None, 
 
 @pytest.hookimpl(wrapper=True)  # type: ignore[untyped-decorator]
 def pytest_runtest_teardown() -> Generator[None, None, None]:
-    """Close the tasks that a test has left open on a bench of longer scope, and end the faults."""
+    """Close the tasks that a test has left open on a bench of longer scope, and remove the faults that it injected."""
     try:
         yield
     finally:

@@ -40,7 +40,7 @@ def replay(
     web : bool
         Show the viewer in a browser on this machine, until interrupted.
     at : float, optional
-        Time of the picture in seconds from the start. Default: time of the largest damper gap or displacement.
+        Time of the picture in seconds from the first sample. Default: time of the largest damper gap or displacement.
     from_s : float, optional
         Start of the part to use, in seconds from the first sample.
     to_s : float, optional
@@ -62,12 +62,12 @@ def replay(
     Raises
     ------
     SceneError
-        If the segment contains no sample, or options contradict each other.
+        If the selected part contains no sample, or options contradict each other.
     RunError
         If there is no display, the viewer does not start, or the file cannot be written.
     """
     if sum([save is not None, screenshot is not None, web]) > 1:
-        raise SceneError("`save`, `screenshot` and `web` exclude each other: choose one of them.")
+        raise SceneError("`save`, `screenshot` and `web` cannot be combined: choose one of them.")
     if at is not None and screenshot is None:
         raise SceneError("`at` requires `screenshot`. Give `screenshot` as well, or omit `at`.")
     if speed != 1.0 and screenshot is not None:

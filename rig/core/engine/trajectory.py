@@ -1,4 +1,4 @@
-"""Result of a propagation: states at sample instants, events and discontinuities; numbers of dampers in a scene.
+"""Result of a propagation: states at sample instants, events and discontinuities.
 
 An event is a change of the regime of one element, such as the bed of a damper. A discontinuity is an instant at which
 velocities or accelerations jump. A segment is a time interval in which the drive is one smooth function, such as a
@@ -35,7 +35,7 @@ class Trajectory:
     table_index: NDArray[np.int64]
     """Table index of the configuration at each sample; shape (samples,)."""
     height: Array
-    """Absolute position of each damper in flight [m], upwards; undefined on a wall; shape (samples, elements)."""
+    """Absolute position of each mass in flight [m], upwards; undefined on a wall; shape (samples, elements)."""
     contact: NDArray[np.int8]
     """FLIGHT, FLOOR or CEILING; shape (samples, elements)."""
     event_segment: NDArray[np.int64]

@@ -34,7 +34,7 @@ def body_number(place: str) -> int:
 
 
 def index_of(points: Sequence[Point], name: str, kind: str) -> int:
-    """Return the index of the point with a name, or of the only point at a location."""
+    """Return the index of the point called `name` or, if `name` is a location, of the only point there."""
     if not isinstance(name, str):
         raise SceneError(
             f"{kind}: got {name!r:.60}; expected a name, such as {points[0].name!r}. Iteration gives curves; keys() "

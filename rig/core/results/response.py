@@ -106,7 +106,7 @@ class Response(ResponseArithmetic, Sequence["Response"]):
         return Table(heading, "<>>><", rows)
 
     def highest_value(self) -> tuple[float, float, str, str, str]:
-        """Return value, expanded, frequency, force and largest contribution to the uncertainty at the peak line."""
+        """Return magnitude, expanded uncertainty, frequency, force and largest contribution at the peak line."""
         peak, factor = self.peak_line(), self.shown_in[1]
         expanded = factor * float(self.expanded()[peak])
         force = "" if self.amplitude is None or self.reference != "force" else f"{self.amplitude[peak]:.4g}"

@@ -75,7 +75,7 @@ def _own_keys(classes: Classes) -> dict[str, type[Settings]]:
 
 
 def _name_other_kinds(problem: Problem, chosen: type[Settings], classes: Classes) -> Problem:
-    """Extend the message about an unknown key by the kinds that have this key."""
+    """Add the kinds that have an unknown key to the message about this key."""
     key, own_keys = str(problem.key_path[0]) if len(problem.key_path) == 1 else "", list(chosen.keys())
     kinds = [
         str(kind.default)

@@ -12,8 +12,8 @@ from rig.core.settings.quantities import Kind, alternatives, describe_kinds, exp
 class Quantity:
     """Annotation `Annotated[float, Quantity(...)]`: a number with a unit, within bounds in SI.
 
-    Another key decides between several `kinds` (`Settings.kinds_from_other_keys`). `infinite`: whether `.inf` is
-    allowed; `listed`: whether a list of numbers is allowed.
+    Of several `kinds`, another key determines which one applies (`Settings.kinds_from_other_keys`). `infinite`:
+    whether `.inf` is allowed; `listed`: whether a list of numbers is allowed.
     """
 
     def __init__(
@@ -97,7 +97,7 @@ def quantity_of(annotation: Any) -> Quantity | None:
 
 
 def in_brackets(value: Any) -> str | None:
-    """Write text that is several items with commas as a list; return None for other values.
+    """Write text with commas as a list in brackets; return None for other values.
 
     >>> in_brackets("10N,20N"), in_brackets("10 N")
     ('[10N, 20N]', None)

@@ -33,8 +33,8 @@ class Element:
     accelerates along the gap [kg]. `clearance`: clearance of the damper, or the gap or slip displacement of the joint
     [m]. `restitution`: coefficient in the scene. `number`: number in the scene, from 1. `is_grains`: whether the damper
     is a bed of grains. `is_joint`: whether it is a joint. `base`: coordinate that is subtracted from `gap`; -1 if `gap`
-    alone is the gap. `start`: regime at the start; empty: the start regime of the law. `slider`: coordinate that is the
-    slider displacement of the law and remains at rest; -1 without slider.
+    alone is the gap. `start`: regime at the start; empty: the start regime of the law. `slider`: coordinate that stores
+    the displacement of the friction slider, which is constant while the joint sticks; -1 without slider.
     """
 
     declare: Callable[[float], Law]

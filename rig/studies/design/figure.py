@@ -47,7 +47,9 @@ def _draw(design: Design) -> Figure:
         _draw_responses(responses, design)
         levels = f"{', '.join(map(format_number, design.question.levels))} {design.question.level.unit}"
         if len(design.question.levels) > 1:
-            levels += f" (with dampers at {format_number(design.best.peak.level)} {design.question.level.unit})"
+            levels += (
+                f" (with dampers: highest at {format_number(design.best.peak.level)} {design.question.level.unit})"
+            )
         is_all = design.best.choice.mass > (1.0 - LIMIT_TOLERANCE) * design.space.max_mass
         add_page_title(
             figure,

@@ -11,7 +11,8 @@ from rig.studies.design.evaluator import Evaluator
 from rig.studies.design.ranking import EQUAL_DB, MIN_MACHINABLE_CLEARANCE, equal_trials
 from rig.studies.design.worst_peak import Peak
 
-#: A peak is assigned to a mode up to this relative distance from the natural frequency.
+#: A peak is assigned to a mode up to this relative distance from the natural frequency: the largest shift by dampers in
+#: common studies.
 MAX_PEAK_OFFSET = 0.15
 #: Maximum number of evaluated modes: those nearest to the band. Each requires a frequency response.
 _MAX_MODES = 6
@@ -23,7 +24,7 @@ _MAX_COMPARED = 5
 class ModePeaks:
     """Largest peaks near a natural frequency."""
 
-    frequency: float  # natural frequency of the structure without dampers [Hz]
+    frequency: float  # natural frequency with the masses of locked dampers, without the other dampers [Hz]
     in_band: bool  # whether the natural frequency lies in the band of the objective
     undamped: Peak  # without dampers
     damped: tuple[Peak, ...]  # with dampers, at each level

@@ -79,7 +79,7 @@ def test_slope_includes_the_curvature() -> None:
 
 def test_other_test_has_no_surface(tmp_path: Path) -> None:
     scene = rig.load("held-response").replace(test={"kind": "sine", "frequency": 20.0, "force": 0.5, "duration": 1.0})
-    with pytest.raises(RecordingError, match="no motion was held"):
+    with pytest.raises(RecordingError, match="held no amplitude of a motion constant"):
         analysis.force_surface(daq.record(scene, tmp_path / "sine.mcap"))
 
 

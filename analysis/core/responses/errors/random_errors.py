@@ -78,7 +78,7 @@ class SharedErrors:
         return replace(self, factors=tuple(other * factor for other in self.factors))
 
     def joined(self, others: Sequence[RandomErrors]) -> SharedErrors | None:
-        """Join the errors of these and other entries; None if they depend on different readings."""
+        """Join these errors with those of other entries of the response matrix; None if their readings differ."""
         same = [self]
         for other in others:
             if not (

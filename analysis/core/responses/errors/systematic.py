@@ -98,7 +98,7 @@ def tolerance(rec: Recording, name: str) -> float:
 
 
 def has_assumed_tolerance(rec: Recording, name: str) -> bool:
-    """Return whether a channel has a sensor of another instrument without a stated tolerance."""
+    """Return whether a tolerance is assumed: the recording is imported, and the scene states none for the sensor."""
     info = rec.channels[name]
     is_stated = any(key.endswith(".sensitivity_tolerance") for key in info.sensor) or info.quantity == "voltage"
     return bool(rec.source) and not is_stated

@@ -16,28 +16,28 @@ from daq.core.recording.recording import Recording
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.numerics.memory import require_memory_with_program
 
-# The result extends up to this fraction of the decimated sample rate.
+# The result extends up to this fraction of the decimated sample rate: the pass band of a filter of `_FILTER_LENGTH`.
 _MAX_FREQUENCY_RATIO = 0.15
 # Length of the low-pass filter in samples of the decimated rate.
 _FILTER_LENGTH = 24
-# Parameter of the Kaiser window of the filter: 0.1102 (A - 8.7) for an attenuation A of 240 dB of aliasing in the
-# result.
+# Parameter of the Kaiser window of the filter: 0.1102 (A - 8.7) for an attenuation A of 240 dB, so that
+# aliasing is below the rounding of a spectrum.
 _KAISER_BETA = 25.5
 # Maximum number of multiplications of a matrix product that BLAS computes in a single thread, without overhead.
 _MAX_MULTIPLICATIONS = 1 << 18
 # Number of values of a group of channels that are in memory at a time, unless a single channel has more.
 _MAX_ELEMENTS = 1 << 24
-# Number of copies of the spectra that are in memory at a time.
+# Number of copies of the spectra that are in memory at a time: those of a group, and the result.
 _COPIES = 2
 
 
 def low_spectra(
     rec: Recording, names: Sequence[str], start: int, stop: int, size: int, bins: int
 ) -> tuple[ComplexArray, Array]:
-    """Compute spectra and mean squares of a segment without lost or overloaded samples, minus each channel's mean.
+    """Compute spectra and variances of a segment without lost or overloaded samples, about the mean of each channel.
 
     The spectra, shape (channels, bins), equal the first bins of `numpy.fft.rfft` of the segment with zeros in front, up
-    to `size` samples. The mean squares have the shape (channels,).
+    to `size` samples. The variances have the shape (channels,).
     """
     require_memory_with_program(
         _COPIES * 16 * bins * len(names), f"{rec.path}: the spectra of {len(names)} channels (`response` selects fewer)"

@@ -17,7 +17,7 @@ Handler = Callable[["Call"], ResponseFields | None]
 
 @dataclass
 class Call:
-    """A remote call."""
+    """A remote procedure call of a client."""
 
     instrument: ServedInstrument
     peer: str  # address of the client

@@ -48,14 +48,14 @@ class RandomControl(ProfileControl, KindOfTest):
     clip: Annotated[float, Quantity(RATIO, above=1.0, infinite=True)] = 4.0
     """Drive clipping: largest drive over its root mean square (crest factor, "3 sigma" in other programs)."""
     speed: Annotated[float, Quantity(RATIO, above=0.0, below=1.0)] = 0.5
-    """Fraction of the deviation from the profile that an update corrects."""
+    """Gain of the control loop: fraction of the deviation from the profile that an update corrects."""
     tolerance: Decibels = 3.0
-    """Permissible deviation from the profile [dB]."""
+    """Tolerance of the profile [dB]."""
     abort: Decibels = 6.0
-    """Abort limit: a line whose excess over the profile is larger counts for `abort_lines` [dB]."""
+    """Abort limit [dB] of the excess of a line over the profile; see `abort_lines`."""
     abort_lines: Share = 0.1
     """The test is aborted if more than this fraction of the lines exceeds the profile by more than `abort`, plus twice
-    the scatter of the averaged densities."""
+    the standard deviation of the averaged densities."""
     shaker: DrivenShaker = None
 
     def level_text(self, shaker: Shaker | None) -> str:

@@ -269,7 +269,18 @@ def test_parameter_in_message_becomes_option(command, capsys):
 
 # Files of functions whose texts name options of other programs, options before a command, or whole commands.
 TEXTS_WITH_COMMANDS = {
-    *("workers", "changes", "choice", "figure", "overloads", "announcement", "plugin", "page"),
+    *(
+        "workers",
+        "changes",
+        "choice",
+        "summary",
+        "check_text",
+        "grain_check",
+        "overloads",
+        "announcement",
+        "plugin",
+        "page",
+    ),
     *("outputs", "rerun_viewer", "bed_claim"),
 }
 

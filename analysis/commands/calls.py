@@ -309,7 +309,7 @@ def export(
     Path
         The file.
     """
-    from analysis.core.recordings.names import open_existing
+    from analysis.core.recordings.opening import open_existing
     from analysis.core.recordings.slices import Slice
     from analysis.extras.formats.export import export as export_segment
     from analysis.extras.formats.results import export_results
@@ -383,7 +383,7 @@ def paper(
 
 
 def _as_list(recordings: Recordings) -> list[OneRecording]:
-    from analysis.core.recordings.names import require_recording
+    from analysis.core.recordings.opening import require_recording
 
     is_single = isinstance(recordings, str | Path) or hasattr(recordings, "channels")
     sources: Any = [recordings] if is_single or not isinstance(recordings, Iterable) else list(recordings)
@@ -410,7 +410,7 @@ def _path(recording: OneRecording) -> Path:
 def _sources(recordings: Recordings) -> Iterator[tuple[Any, str]]:
     """Yield each recording as a context manager, or the path of a file with responses, with its label."""
     from analysis.commands.presentation.inputs import labels
-    from analysis.core.recordings.names import OpenRecordings, as_context
+    from analysis.core.recordings.opening import OpenRecordings, as_context
     from analysis.extras.formats.frf_files import is_frf_file
 
     sources, paths = _as_list(recordings), _paths(recordings)

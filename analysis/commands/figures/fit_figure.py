@@ -4,7 +4,7 @@ import numpy as np
 
 from analysis.core.fitting.fit import Comparison, Fit
 from analysis.core.fitting.predicted import linear_response, scene_of_test
-from analysis.core.recordings.names import line_spacing
+from analysis.core.recordings.descriptions import line_spacing
 from rig.core.base.arrays import Array
 from rig.core.base.figure_style import add_legend_below, add_title, frequency_axis, log_axis, new_figure
 from rig.core.base.figure_types import Axes, Figure

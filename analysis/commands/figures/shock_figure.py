@@ -3,7 +3,8 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from analysis.core.recordings.names import OpenRecordings, full_test_text
+from analysis.core.recordings.descriptions import full_test_text
+from analysis.core.recordings.opening import OpenRecordings
 from analysis.core.signals.shock_spectrum import (
     OCTAVE_STEPS,
     ShockSpectrum,

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from analysis.commands.presentation.figures_of_recordings import present_each
 from analysis.commands.presentation.outputs import CommandOutput
-from analysis.core.recordings.names import OpenRecordings, with_recordings
+from analysis.core.recordings.opening import OpenRecordings, with_recordings
 from analysis.core.tracking.backbone import Backbone, backbone
 from analysis.core.tracking.body_motion import common_error_text, draw_common_error
 from rig.core.base.figure_style import add_caption

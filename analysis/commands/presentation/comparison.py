@@ -34,7 +34,8 @@ from analysis.core.damper_motion.comparison import (
 )
 from analysis.core.modal.identification import identify
 from analysis.core.modal.modes import Modes
-from analysis.core.recordings.names import OpenRecordings, relabel, scene_labels, with_recordings
+from analysis.core.recordings.names import relabel, scene_labels
+from analysis.core.recordings.opening import OpenRecordings, with_recordings
 from analysis.core.responses.frequency_responses import frequency_responses
 from analysis.core.responses.measurands import default_reference, reference_of, response_channels
 from daq.core.recording.recording import Recording

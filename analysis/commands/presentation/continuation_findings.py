@@ -9,7 +9,7 @@ import numpy as np
 
 from analysis.commands.presentation.figures_of_recordings import present_each
 from analysis.commands.presentation.outputs import CommandOutput, with_recording_name
-from analysis.core.recordings.names import OpenRecordings, with_recordings
+from analysis.core.recordings.opening import OpenRecordings, with_recordings
 from analysis.core.tracking.body_motion import common_error_text, draw_common_error
 from analysis.core.tracking.continuation import AmplitudeCurve, continuation
 from daq.core.recording.recording import Recording

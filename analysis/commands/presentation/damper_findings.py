@@ -18,7 +18,9 @@ from analysis.commands.presentation.tables import write_table
 from analysis.core.damper_motion.dampers import Dampers, dampers_in
 from analysis.core.damper_motion.energy_balance import EnergyBalance
 from analysis.core.damper_motion.motion_types import DamperMotion, motion_table
-from analysis.core.recordings.names import OpenRecordings, full_test_text, scene_labels, with_recordings
+from analysis.core.recordings.descriptions import full_test_text
+from analysis.core.recordings.names import scene_labels
+from analysis.core.recordings.opening import OpenRecordings, with_recordings
 from rig.core.base.progress import CountProgress
 from rig.core.results import format_interval, format_limited, format_number
 from rig.core.results.table import Table

@@ -14,14 +14,9 @@ from analysis.commands.presentation.outputs import (
     with_recording_name,
 )
 from analysis.core.decays.free_decay import INITIAL_DECAY_DB, NO_INTERVAL, Decay, decay
-from analysis.core.recordings.names import (
-    OpenRecordings,
-    baseline_label,
-    full_test_text,
-    relabel,
-    scene_labels,
-    with_recordings,
-)
+from analysis.core.recordings.descriptions import full_test_text
+from analysis.core.recordings.names import baseline_label, relabel, scene_labels
+from analysis.core.recordings.opening import OpenRecordings, with_recordings
 from rig.core.base.palette import location_styles, recording_styles
 
 

@@ -6,7 +6,8 @@ from typing import TypeVar
 
 from analysis.commands.presentation.outputs import CommandOutput, check_outputs, separate_stems, with_ending
 from analysis.commands.presentation.tables import write_table
-from analysis.core.recordings.names import OpenRecordings, full_test_text
+from analysis.core.recordings.descriptions import full_test_text
+from analysis.core.recordings.opening import OpenRecordings
 from daq.core.recording.recording import Recording
 from rig.core.base.figure_style import add_title, new_figure, save_figure
 from rig.core.base.figure_types import Axes, Figure

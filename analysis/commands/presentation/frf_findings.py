@@ -18,18 +18,9 @@ from analysis.commands.presentation.outputs import (
     with_recording_name,
 )
 from analysis.core.damper_motion.comparison import Peak, is_next_to_omitted, may_be_higher, resonance_peaks
-from analysis.core.recordings.names import (
-    OpenRecordings,
-    acquisition_text,
-    baseline_label,
-    belongs_to,
-    excitation_text,
-    relabel,
-    sweep_name,
-    validity_texts,
-    with_recordings,
-    without_common_direction,
-)
+from analysis.core.recordings.descriptions import acquisition_text, excitation_text, validity_texts
+from analysis.core.recordings.names import baseline_label, belongs_to, relabel, sweep_name, without_common_direction
+from analysis.core.recordings.opening import OpenRecordings, with_recordings
 from analysis.core.responses.checks.curve_checks import find_jumps
 from analysis.core.responses.errors.systematic import side_errors, tolerance_text
 from analysis.core.responses.estimator import Blocks, estimator_of

@@ -8,7 +8,8 @@ import shlex
 from collections.abc import Sequence
 from pathlib import Path
 
-from analysis.core.recordings.names import OpenRecordings, scene_labels
+from analysis.core.recordings.names import scene_labels
+from analysis.core.recordings.opening import OpenRecordings
 from analysis.core.responses.estimator import Blocks, estimator_of
 from analysis.extras.formats.frf_files import is_frf_file, read_frfs
 from daq.core.recording.recorded_test import TestKind

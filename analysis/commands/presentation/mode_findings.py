@@ -24,7 +24,9 @@ from analysis.core.modal.identification import identify
 from analysis.core.modal.mode_warnings import extrapolates_damping
 from analysis.core.modal.modes import Modes, mac
 from analysis.core.modal.roving_hammer import exchange_points
-from analysis.core.recordings.names import OpenRecordings, full_test_text, relabel, validity_texts, with_recordings
+from analysis.core.recordings.descriptions import full_test_text, validity_texts
+from analysis.core.recordings.names import relabel
+from analysis.core.recordings.opening import OpenRecordings, with_recordings
 from analysis.core.responses.estimator import Blocks
 from analysis.core.responses.frequency_responses import frequency_responses
 from analysis.core.responses.measurands import default_reference

@@ -7,7 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from analysis.core.recordings.names import require_file, sweep_name
+from analysis.core.recordings.names import sweep_name
+from analysis.core.recordings.opening import require_file
 from rig.core.base.output_files import name_digest, prepare_outputs
 
 # Maximum number of characters of a channel name in a file name; file systems allow 255 bytes for the whole name.

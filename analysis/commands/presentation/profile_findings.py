@@ -5,7 +5,7 @@ from pathlib import Path
 
 from analysis.commands.presentation.figures_of_recordings import present_each
 from analysis.commands.presentation.outputs import CommandOutput
-from analysis.core.recordings.names import OpenRecordings, with_recordings
+from analysis.core.recordings.opening import OpenRecordings, with_recordings
 from analysis.core.signals.profile_check import ProfileCheck, profile
 from rig.core.base.figure_style import add_legend_below, frequency_axis, log_axis
 from rig.core.base.figure_types import Axes, Figure

@@ -12,7 +12,8 @@ from analysis.commands.presentation.outputs import (
     with_recording_name,
 )
 from analysis.commands.presentation.tables import Row, write_table
-from analysis.core.recordings.names import OpenRecordings, scene_labels, with_recordings
+from analysis.core.recordings.names import scene_labels
+from analysis.core.recordings.opening import OpenRecordings, with_recordings
 from analysis.core.responses.measurands import select_channels
 from analysis.core.signals.shock_spectrum import ShockSpectrum, srs
 from daq.core.recording.recorded_test import deviation_unit, shocks_of

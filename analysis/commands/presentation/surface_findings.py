@@ -6,7 +6,7 @@ from typing import Any
 
 from analysis.commands.presentation.figures_of_recordings import present_each
 from analysis.commands.presentation.outputs import CommandOutput
-from analysis.core.recordings.names import OpenRecordings, with_recordings
+from analysis.core.recordings.opening import OpenRecordings, with_recordings
 from analysis.core.tracking.body_motion import common_error_text
 from analysis.core.tracking.force_surface import ForceSurface, force_surface
 from rig.core.base.figure_style import add_legend_below

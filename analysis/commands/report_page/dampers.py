@@ -11,7 +11,7 @@ from analysis.commands.figures.determined_lines import folds_back
 from analysis.commands.report_page.charts import Chart, Curve, Panel, needs_logarithmic_axis, side_limits, symbol_curves
 from analysis.commands.report_page.measurements import Measurement
 from analysis.commands.report_page.responses import sweep_names, sweep_styles
-from analysis.core.recordings.names import excitation_text
+from analysis.core.recordings.descriptions import excitation_text
 from rig.core.base.palette import DAMPER, CurveStyle, location_style
 
 

@@ -19,7 +19,8 @@ from analysis.core.decays.free_decay import Decay, decay
 from analysis.core.modal.identification import identify
 from analysis.core.modal.mode_warnings import extrapolates_damping
 from analysis.core.modal.modes import Modes
-from analysis.core.recordings.names import OpenRecordings, baseline_label, relabel, scene_labels
+from analysis.core.recordings.names import baseline_label, relabel, scene_labels
+from analysis.core.recordings.opening import OpenRecordings
 from analysis.core.responses.errors.systematic import clock_deviation, stated_tolerance
 from analysis.core.responses.frequency_responses import frequency_responses
 from analysis.core.responses.measurands import response_channels

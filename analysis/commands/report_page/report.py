@@ -35,7 +35,7 @@ from analysis.commands.report_page.tables import (
     test_sentence,
 )
 from analysis.core.modal.modes import Modes
-from analysis.core.recordings.names import line_spacing
+from analysis.core.recordings.descriptions import line_spacing
 from daq.core.recording.recorded_test import own_analyses
 from rig.core.base.errors import SceneError
 from rig.core.base.escaping import escape_html

@@ -25,7 +25,8 @@ from analysis.commands.report_page.charts import (
     symbol_curves,
 )
 from analysis.commands.report_page.measurements import Measurement, SweepResults, force_deviation
-from analysis.core.recordings.names import acquisition_text, belongs_to, excitation_text, without_common_direction
+from analysis.core.recordings.descriptions import acquisition_text, excitation_text
+from analysis.core.recordings.names import belongs_to, without_common_direction
 from analysis.core.responses.estimator import Blocks
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.palette import CurveStyle, location_styles, recording_styles

@@ -18,7 +18,7 @@ from analysis.commands.report_page.tables import change_text
 from analysis.core.damper_motion.dampers import Dampers
 from analysis.core.decays.free_decay import NO_INTERVAL
 from analysis.core.modal.mode_warnings import MAX_LINEAR_RESIDUAL
-from analysis.core.recordings.names import validity_texts
+from analysis.core.recordings.descriptions import validity_texts
 from analysis.core.signals.shock_spectrum import scatter_text
 from daq.core.recording.recorded_test import deviation_unit, shocks_of
 from rig.core.results import format_frequencies, format_limited, format_percent

@@ -16,7 +16,7 @@ from analysis.core.decays.modal_decay import SAME_MODE_RATIO, ModalDecay, modal_
 from analysis.core.decays.overlap import resolve_close_modes
 from analysis.core.decays.sensor_correction import correct_motion, count_of_motion
 from analysis.core.recordings.channel_delay import arrival
-from analysis.core.recordings.names import takes_path
+from analysis.core.recordings.opening import takes_path
 from analysis.core.recordings.slices import impact_ranges, interpolated
 from analysis.core.responses.errors.systematic import clock_deviation
 from analysis.core.responses.measurands import motion_channel, response_channels

@@ -14,7 +14,7 @@ from analysis.core.fitting.identifiability import LevelDamping, damping_by_level
 from analysis.core.fitting.measured import Curves, measured_curves
 from analysis.core.fitting.parameters import Parameter, free_parameters, with_ratio_per_mode
 from analysis.core.fitting.problem import Group, Problem
-from analysis.core.recordings.names import as_context, require_recording
+from analysis.core.recordings.opening import as_context, require_recording
 from daq.core.recording.recording import Recording
 from rig.core.base.arrays import Array, ComplexArray
 from rig.core.base.errors import RecordingError, SceneError, suggestion

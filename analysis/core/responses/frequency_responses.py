@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import replace
 
-from analysis.core.recordings.names import takes_path
+from analysis.core.recordings.opening import takes_path
 from analysis.core.responses.checks.channel_changes import change_warnings, without_mean_delay
 from analysis.core.responses.checks.failed_channels import failed_channel_warnings
 from analysis.core.responses.checks.tone_steps import sweep_warnings

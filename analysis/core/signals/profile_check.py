@@ -12,7 +12,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from analysis.core.recordings.names import takes_path
+from analysis.core.recordings.opening import takes_path
 from analysis.core.recordings.slices import interpolated, read_slices
 from daq.core.excitation.profiles.profile_checks import line_warnings
 from daq.core.excitation.profiles.sweep_control import estimate_amplitudes, observation_samples

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from analysis.core.decays.sensor_correction import COPIES, corrected_pieces
-from analysis.core.recordings.names import takes_path
+from analysis.core.recordings.opening import takes_path
 from analysis.core.recordings.slices import Slice, interpolated
 from analysis.core.responses.measurands import find_channel, response_channels
 from daq.core.dsp.shock_response import shock_response

@@ -17,7 +17,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.core.recordings.names import takes_path
+from analysis.core.recordings.opening import takes_path
 from analysis.core.responses.frequency_responses import frequency_responses
 from analysis.core.responses.measurands import reference_of
 from analysis.core.tracking.body_motion import CurvePart, LevelPoint, body_motion, quantity_ranges, table_of_levels

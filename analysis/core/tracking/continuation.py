@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.core.recordings.names import takes_path
+from analysis.core.recordings.opening import takes_path
 from analysis.core.responses.frequency_responses import frequency_responses
 from analysis.core.tracking.body_motion import CurvePart, LevelPoint, body_motion
 from daq.core.recording.recorded_test import FOLLOWED_CURVE

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import Akima1DInterpolator
 
-from analysis.core.recordings.names import takes_path
+from analysis.core.recordings.opening import takes_path
 from analysis.core.responses.frequency_responses import frequency_responses
 from analysis.core.tracking.body_motion import body_motion, draw_common_error
 from daq.core.recording.recording import Recording

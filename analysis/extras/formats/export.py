@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from analysis.core.recordings.names import takes_path
+from analysis.core.recordings.opening import takes_path
 from analysis.core.recordings.slices import Slice
 from analysis.extras.formats.mat import write_mat
 from analysis.extras.formats.uff import write_uff

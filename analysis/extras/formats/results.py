@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from analysis.core.modal.identification import identify
-from analysis.core.recordings.names import open_existing
+from analysis.core.recordings.opening import open_existing
 from analysis.core.responses.frequency_responses import frequency_responses
 from analysis.extras.formats import mat, uff
 from analysis.extras.formats.frf_files import is_frf_file, read_frfs

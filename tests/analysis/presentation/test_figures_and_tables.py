@@ -34,7 +34,8 @@ from analysis.commands.presentation.theory import theoretical_modes
 from analysis.core.damper_motion.comparison import resonance_peaks
 from analysis.core.modal.modes import Modes, UncertainMode
 from analysis.core.modal_models.lscf import ChartPole
-from analysis.core.recordings.names import baseline_label, belongs_to, excitation_text
+from analysis.core.recordings.descriptions import excitation_text
+from analysis.core.recordings.names import baseline_label, belongs_to
 from analysis.core.tracking.backbone import Backbone
 from rig.core.base.errors import RecordingError
 from rig.core.base.palette import BASELINE, BODIES, RECORDINGS, faded, recording_styles

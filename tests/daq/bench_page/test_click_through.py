@@ -344,7 +344,7 @@ def test_overloads_of_all_channels_fit_their_panel(bench, browser):
         levels.update({state: {levels: channels.map(() => 1), overloads, clipping: []}});
         return [$('causes').textContent, $('causes').clientHeight];
     """)
-    assert brief == "Overload (latest: 183.7\u00a0s): base, arm" and height < 25
+    assert brief == "Overload: base, arm, latest at 183.7\u00a0s. Lower the level." and height < 50
 
 
 @pytest.mark.thorough

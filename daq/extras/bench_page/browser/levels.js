@@ -1,7 +1,7 @@
 // A bar for each channel: its peak relative to full scale, the held peak, and a latched overload with its cause.
 "use strict";
 
-// A phone has space for one line, without causes; see bench.css.
+// A phone has space for two lines, without causes.
 const IS_NARROW = matchMedia("(max-width: 900px)");
 const HOLD_MS = 3000;
 const FLOOR_DB = -120; // the noise of a sensor is visible
@@ -46,8 +46,8 @@ const levels = {
     const texts = [...causes].map(([text, names]) => `${names.join(", ")}: ${text}`);
     $("alarm").hidden = !texts.length;
     const latest = Math.max(...Object.values(state.overloads).map(([, last]) => last));
-    const brief = `Overload (latest: ${digits(latest, 4)}\u00a0s): ${[...causes.values()].flat().join(", ")}`;
-    setText("causes", IS_NARROW.matches ? brief : `Overload: ${texts.join("; ")}. Lower the level or extend the range.`);
+    const names = [...causes.values()].flat(), who = names.length > 2 ? `${names.length} channels` : names.join(", ");
+    setText("causes", IS_NARROW.matches ? `Overload: ${who}, latest at ${digits(latest, 4)}\u00a0s. Lower the level.` : `Overload: ${texts.join("; ")}. Lower the level or extend the range.`);
   },
 };
 

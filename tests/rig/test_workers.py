@@ -2,6 +2,7 @@
 
 import multiprocessing
 import os
+import signal
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -14,7 +15,13 @@ from distributed import LocalCluster
 
 from rig.core.base.errors import RunError, SceneError
 from rig.core.base.workers import Workers, free_cores
-from tests.rig.worker_pieces import exit_process, log_compilation, sigint_is_ignored, square, wait_forever_unless_zero
+from tests.rig.worker_pieces import (
+    exit_process,
+    log_compilation,
+    sigint_is_ignored,
+    square,
+    wait_forever_unless_zero,
+)
 from tests.rig.worker_processes import worker_processes
 
 
@@ -90,6 +97,17 @@ def test_workers_ignore_ctrl_c() -> None:
     with Workers() as workers:
         assert list(workers.compute(sigint_is_ignored, [1])) == [(0, True)]
     assert not sigint_is_ignored(0)
+
+
+@pytest.mark.skipif(not hasattr(signal, "pthread_sigmask"), reason="Windows has no signal masks")
+def test_starting_workers_have_ctrl_c_blocked() -> None:
+    script = (
+        "from rig.core.base.workers import Workers\n"
+        "from tests.rig.worker_pieces import sigint_is_blocked\n"
+        "with Workers() as workers: print(dict(workers.compute(sigint_is_blocked, [0, 1])), sigint_is_blocked(0))"
+    )
+    run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert run.stdout == "{0: True, 1: True} False\n"
 
 
 def test_busy_workers_end_with_their_parent(tmp_path: Path) -> None:

@@ -42,3 +42,8 @@ def write_id_and_wait(file: Path) -> None:
     temporary.write_text(str(os.getpid()))
     temporary.rename(file)
     threading.Event().wait()
+
+
+def sigint_is_blocked(_: int) -> bool:
+    """Return whether the worker began with Ctrl-C blocked."""
+    return signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, [])

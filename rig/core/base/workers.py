@@ -10,8 +10,9 @@ import signal
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, Future
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from functools import partial
+from multiprocessing import resource_tracker
 from multiprocessing.synchronize import Semaphore
 from queue import SimpleQueue
 from threading import Thread
@@ -25,6 +26,8 @@ Result = TypeVar("Result")
 #: Whether pieces are computed in this process, because it shares each of them with other MPI ranks
 #: (`rig.extras.grains.ranks.join`).
 SERIAL = False
+# Windows has none.
+_HAS_SIGNAL_MASKS = hasattr(signal, "pthread_sigmask")
 # Longest time until a cluster answers, even over a slow network [s].
 _CONNECTION_TIMEOUT_S = 10.0
 # Longest time until a cluster starts its first worker [s].
@@ -78,10 +81,11 @@ class Workers:
         finished: SimpleQueue[Future[Result]] = SimpleQueue()
         n_submitted = n_completed = 0
         while n_completed < len(pieces):
-            for number in range(n_submitted, len(pieces)):
-                job = self._pool.submit(function, pieces[number])
-                jobs[job] = number
-                job.add_done_callback(finished.put)
+            with _interrupts_blocked():
+                for number in range(n_submitted, len(pieces)):
+                    job = self._pool.submit(function, pieces[number])
+                    jobs[job] = number
+                    job.add_done_callback(finished.put)
             n_submitted = len(pieces)
             job = finished.get()
             n_completed += 1
@@ -121,7 +125,12 @@ def _start_processes(cleanup: ExitStack) -> Executor:
     """Start worker processes of this machine; they import the modules of the functions, but not the user's script."""
     from loky import ProcessPoolExecutor
     from loky.backend import get_context
+    from loky.backend import resource_tracker as loky_tracker
 
+    if _HAS_SIGNAL_MASKS:
+        # They unblock Ctrl-C when they start, so they start before the workers.
+        for tracker in (loky_tracker, resource_tracker):
+            tracker.ensure_running()
     context = get_context("loky")
     pool = ProcessPoolExecutor(
         cores(), context=context, initializer=_initialize_worker, initargs=(os.getpid(), context.Semaphore(1))
@@ -130,12 +139,28 @@ def _start_processes(cleanup: ExitStack) -> Executor:
     return pool
 
 
+@contextmanager
+def _interrupts_blocked() -> Iterator[None]:
+    """Block Ctrl-C in this thread, and in the workers that it starts, which would report it while they import modules.
+
+    A terminal sends Ctrl-C to all processes. It interrupts this process after the block.
+    """
+    if not _HAS_SIGNAL_MASKS:
+        yield
+        return
+    previous = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, previous)
+
+
 def _initialize_worker(parent: int, first: Semaphore) -> None:
     """Initialize a worker: one thread for linear algebra; the `parent` (process id) handles signals of the system.
 
     `first`: semaphore that one worker acquires, which reports the compilation.
     """
-    # A terminal sends Ctrl-C to all processes.
+    # `_interrupts_blocked` blocks the signal until here.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     # Only the worker that acquires `first` reports that it compiles: all workers compile the same functions.
     if not first.acquire(block=False):
